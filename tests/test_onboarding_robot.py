@@ -40,13 +40,19 @@ from app.onboarding.check import (
     ready_row,
     run_row,
 )
-from app.onboarding.fit import grouping, postures, stops
+from app.onboarding.fit import collision_sampling, grouping, postures
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.fit.collision_sampling import Meetings, Postures, _close_pairs, sample_meetings
+from app.onboarding.fit.collision_sampling import (
+    Meetings,
+    Postures,
+    _close_pairs,
+    sample_meetings,
+    watching_buffer,
+    with_stops,
+)
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
 from app.onboarding.fit.postures import Place, Point
-from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.source import mesh_address
@@ -808,7 +814,9 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         "--buffer-distance 0.13"
     )
     assert why in limits.numbers["position_upper"][1]
-    monkeypatch.setattr(stops, "MARGIN", 1.0)  # as for a UR's upper arm, 12 mm beside its foot
+    monkeypatch.setattr(
+        collision_sampling, "MARGIN", 1.0
+    )  # as for a UR's upper arm, 12 mm beside its foot
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
     assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]
     bodies = [
@@ -827,11 +835,11 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     ready[k] = 2.4
     with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
         with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
-    assert stops.watching_buffer(limits, meetings, 0.15) == (0.15, "")
-    monkeypatch.setattr(stops, "LEAST", 1.0)  # no limit may reduce a joint's range
+    assert watching_buffer(limits, meetings, 0.15) == (0.15, "")
+    monkeypatch.setattr(collision_sampling, "LEAST", 1.0)  # no limit may reduce a joint's range
     for posture in (None, ready):
         assert with_stops(parsed.limits, bare, parsed.arm, meetings, posture) == parsed.limits
-    smaller, why = stops.watching_buffer(parsed.limits, meetings, 0.15)
+    smaller, why = watching_buffer(parsed.limits, meetings, 0.15)
     assert "upper is nearer than 0.15 m to base" in why
     pair = (base.index, upper.index)
     for d_b, close in ((smaller, False), (smaller + 0.02, True)):

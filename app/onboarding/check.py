@@ -74,7 +74,7 @@ def check_robot(
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
 ) -> Iterator[Row]:
-    """All checks of a description with its parameters; each row is yielded when its check ends.
+    """All checks of a description; each row is yielded when its check ends.
 
     A check that ends with an error fails, and its row has the message. If the model or the border
     fails, the checks that need it are left out. The last row is a failed row `guiding` if `runs` is
@@ -82,9 +82,8 @@ def check_robot(
     start or has "nothing to show".
 
     `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
-    called with the name of each step before it begins. `processes` is the number of processes that
-    sample the border; None means one for each usable core. `sampling` has the parameters of a
-    coarser border; None means the complete border.
+    called with the name of each step before it begins. `processes` (default: the number of usable
+    cores) sample the border. `sampling` has the parameters of a coarser border, or is None.
     """
     tell("loading the robot")
     try:
@@ -128,11 +127,10 @@ def _done(name: str, check: Callable[..., Row], *arguments: object) -> Row:
     """The row of a check; an exception becomes a failed row."""
     try:
         return check(*arguments)
-    except DbbError as error:
-        return Row(name, "failed", str(error), {})
     except Exception as error:  # pybullet, MuJoCo, coal: without a common base class
         _log.debug("%s", name, exc_info=True)
-        return Row(name, "failed", f"{type(error).__name__}: {error}", {})
+        kind = "" if isinstance(error, DbbError) else f"{type(error).__name__}: "
+        return Row(name, "failed", f"{kind}{error}", {})
 
 
 def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
@@ -162,10 +160,9 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 def engines_row(model: RobotModel) -> Row:
     """Compare depth images and contacts of pybullet and MuJoCo; warn if one is not installed."""
-    for name in ("pybullet", "mujoco"):
-        if not find_spec(name):
-            text = f"{name} is not installed, so there is no second engine for a comparison"
-            return Row("engines", "warned", text, {})
+    if missing := [name for name in ("pybullet", "mujoco") if not find_spec(name)]:
+        text = f"{missing[0]} is not installed, so there is no second engine for a comparison"
+        return Row("engines", "warned", text, {})
     from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
 
     found = compare_engines(model)
@@ -192,18 +189,18 @@ def limits_row(model: RobotModel) -> Row:
         for k in np.flatnonzero((model.qd_max > _FASTEST) | (efforts > strongest))
     ]
     wrong += [f"{names[k]} moves no inertia" for k in np.flatnonzero(least <= 1e-9)]
-    weak = [
+    weak = "; ".join(
         f"{names[k]} has {efforts[k]:g} of the required {load[k]:.3g} N m (or N)"
         for k in np.flatnonzero(efforts < load)
-    ]
-    share = float((load / efforts).max())
-    text = f"gravity requires at most {share:.0%} of the torque limit of a joint"
+    )
+    numbers = {"gravity_share": (share := float((load / efforts).max()))}
     if wrong:
-        text = "; ".join(wrong)
-    elif weak:
-        text = f"some joints cannot hold the arm's weight in all postures: {'; '.join(weak)}"
-    outcome: Outcome = "failed" if wrong else "warned" if weak else "passed"
-    return Row("limits", outcome, text, {"gravity_share": share})
+        return Row("limits", "failed", "; ".join(wrong), numbers)
+    if weak:
+        text = f"some joints cannot hold the arm's weight in all postures: {weak}"
+        return Row("limits", "warned", text, numbers)
+    text = f"gravity requires at most {share:.0%} of the torque limit of a joint"
+    return Row("limits", "passed", text, numbers)
 
 
 def nested_row(model: RobotModel) -> Row:
@@ -212,15 +209,14 @@ def nested_row(model: RobotModel) -> Row:
     """
     touches = nested_touches(model, _geometry(model))
     least = min(share for share, _ in touches.values())
-    seldom = [
+    text = f"each pair of nested links touches in at least {least:.0%} of random postures"
+    seldom = ", ".join(
         f"{a} and {b} in {share:.0%}"
         for (a, b), (share, overlap) in touches.items()
         if share < NESTED and (share == 0.0 or overlap > GRAZE)
-    ]
-    text = f"each pair of nested links touches in at least {least:.0%} of random postures"
+    )
     if seldom:
-        links = ", ".join(seldom)
-        text = f"plants ignore the contacts of links that touch in few postures: {links}"
+        text = f"plants ignore the contacts of links that touch in few postures: {seldom}"
     numbers = {"least_touching_share": least}
     return Row("nested links", "warned" if seldom else "passed", text, numbers)
 
@@ -323,15 +319,14 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     near = (d[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
     names = [pair.name for pair in pairs.all]
     numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
-    always = [*compress(names, near > ALWAYS)]
-    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free postures"
     if missing:
         text = f"{', '.join(missing)} can meet the base, but has no reachability"
-    elif always:
-        most = f"{ALWAYS:.0%} of the free postures"
-        text = f"{', '.join(always)}: inside the buffer in more than {most}"
-    outcome: Outcome = "failed" if missing else "warned" if always else "passed"
-    return Row("pairs", outcome, text, numbers)
+        return Row("pairs", "failed", text, numbers)
+    if always := ", ".join(compress(names, near > ALWAYS)):
+        text = f"{always}: inside the buffer in more than {ALWAYS:.0%} of the free postures"
+        return Row("pairs", "warned", text, numbers)
+    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free postures"
+    return Row("pairs", "passed", text, numbers)
 
 
 def ready_row(model: RobotModel, data: BorderData) -> Row:
@@ -350,11 +345,10 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair with l_m has points at the heights that the arm reaches,
-    from the floor to the top of l_m.
+    from the floor to the top of l_m; it fails if all borders are empty.
 
     A gap between the lowest and the highest point of a border, or no pair with l_m, causes a
-    warning. Below and above these points, the exact offset of l_m replaces missing points; the row
-    reports these heights and pairs. The check fails if all borders are empty.
+    warning. Below and above these points, the exact offset of l_m replaces missing points.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -389,14 +383,11 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """Guide the end-effector towards the base, and compare with a run without avoidance.
 
-    The outcome is the first of these that applies:
-
-    - `warned` if the run cannot start;
-    - `failed` after a contact, an unsolved QP, or a distance of arm and base below 0.03 m;
-    - "nothing to show" if no pair has l_m, or the arm without avoidance stays d_b/2 or more away;
-    - if the base moves by less than d_b/3: `warned` if `holding_row` warns, `failed` otherwise;
-    - `warned` if d_b is too small for the speed of the run;
-    - `passed`.
+    The outcome is the first of these that applies: `warned` if the run cannot start; `failed` after
+    a contact, an unsolved QP, or a distance of arm and base below 0.03 m; "nothing to show" if no
+    pair has l_m, or the arm without avoidance stays d_b/2 or more away; if the base moves by less
+    than d_b/3, `warned` if `holding_row` warns, `failed` otherwise; `warned` if d_b is too small
+    for the speed of the run; `passed`.
     """
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario

@@ -16,10 +16,14 @@ from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import SIDES, numbers, warn, write
-from app.onboarding.fit.collision_sampling import ENOUGH, sample_meetings
+from app.onboarding.fit.collision_sampling import (
+    ENOUGH,
+    sample_meetings,
+    watching_buffer,
+    with_stops,
+)
 from app.onboarding.fit.grouping import detection_of, find_grouping
 from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, line_from
-from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.read.links import read_geometry, read_inertias

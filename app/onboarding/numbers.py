@@ -26,6 +26,7 @@ Sourced = Mapping[str, tuple[Any, str]]  # values with sources, by the field of 
 
 _TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from the other limit
 _SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
+_SPEEDS = "1.5 rad/s or 0.3 m/s"  # these limits in words
 _LARGEST = 1000.0  # [rad] or [m] position limit from which a joint has no limit on this side
 _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
 _TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)  # a bound also holds after rounding
@@ -81,18 +82,30 @@ def read_limits(arm: Arm) -> Limits:
             an empty range or probably in another unit.
     """
     _check_ranges(arm.joints)
-    speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
-    speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
-    lower, upper = zip(*map(_assumed_range, arm.joints), strict=True)
-    assumed = {
-        "position_lower": _assumed_limits(arm.joints, "lower"),
-        "position_upper": _assumed_limits(arm.joints, "upper"),
-        "max_velocity": {"1.5 rad/s or 0.3 m/s": speedless} if speedless else {},
-        "max_effort": {},
+    limits = {
+        "position_lower": [_position(joint, "lower") for joint in arm.joints],
+        "position_upper": [_position(joint, "upper") for joint in arm.joints],
+        "max_velocity": [
+            (v, "") if (v := _within(j.velocity, _FASTEST)) else (_SPEED[j.kind], _SPEEDS)
+            for j in arm.joints
+        ],
+        "max_effort": [(_within(joint.effort, 1e5), "") for joint in arm.joints],
     }
-    velocity = tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True))
-    effort = tuple(_within(joint.effort, 1e5) for joint in arm.joints)
-    return Limits(lower, upper, velocity, effort, assumed, {})
+    columns = {field: [*zip(*rows, strict=True)] for field, rows in limits.items()}
+    assumed = {
+        field: grouped(dict(zip(arm.names, whys, strict=True)))
+        for field, (_, whys) in columns.items()
+    }
+    return Limits._make((*(values for values, _ in columns.values()), assumed, {}))
+
+
+def grouped(whys: Mapping[str, str]) -> dict[str, list[str]]:
+    """Names by their reason in `whys`, in which the reason of some names may be empty."""
+    found = defaultdict[str, list[str]](list)
+    for name, why in whys.items():
+        if why:
+            found[why].append(name)
+    return dict(found)
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
@@ -148,26 +161,15 @@ def _range(joint: Joint) -> list[float | None]:
     return [None if q is None or abs(q) >= _LARGEST else q for q in (joint.lower, joint.upper)]
 
 
-def _assumed_range(joint: Joint) -> tuple[float, float]:
+def _position(joint: Joint, side: str) -> tuple[float, str]:
+    """The limit of a joint on a `side`, `lower` or `upper`, and the words for an assumed limit."""
     low, high = _range(joint)
-    return (
-        min(0.0, high or 0.0) - _TURN if low is None else low,
-        max(0.0, low or 0.0) + _TURN if high is None else high,
-    )
-
-
-def _assumed_limits(joints: Sequence[Joint], side: str) -> dict[str, list[str]]:
-    """Joints without a limit on a `side`, `lower` or `upper`, by the assumed limit."""
-    found = defaultdict[str, list[str]](list)
-    for joint in joints:
-        low, high = _range(joint)
-        if low is high is None:
-            found["half a turn in both directions"].append(joint.name)
-        elif (low if side == "lower" else high) is None:
-            found["half a turn"].append(joint.name)
-        elif joint.unstated == side:
-            found["0, as the URDF states only the other"].append(joint.name)
-    return dict(found)
+    own, other = (low, high) if side == "lower" else (high, low)
+    if own is not None:
+        return own, "0, as the URDF states only the other" if joint.unstated == side else ""
+    both = " in both directions" if other is None else ""
+    at = min(0.0, other or 0.0) - _TURN if side == "lower" else max(0.0, other or 0.0) + _TURN
+    return at, f"half a turn{both}"
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:

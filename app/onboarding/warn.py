@@ -3,7 +3,7 @@
 `dbb check-robot` repeats `holding_warning` and `push_warning` for every robot.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
 from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved, placements
-from app.onboarding.numbers import read_limits
+from app.onboarding.numbers import grouped, read_limits
 from app.onboarding.read.tree import FREE
 from app.onboarding.read.wheels import turns_round
 from app.onboarding.record import NewRobot, Parsed
@@ -101,14 +101,8 @@ def _postures(robot: NewRobot) -> Iterator[str]:
     whys = robot.lacking
     if always := ", ".join(robot.verdict.always):
         whys = dict.fromkeys(whys, f"inside the buffer in most postures: {always}")
-    for why, names in _grouped(whys):
-        yield f"{names}: no line for guiding: {why}"
-
-
-def _grouped(whys: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Each different reason in `whys`, with a text of all names that have it."""
-    for why in dict.fromkeys(whys.values()):
-        yield why, ", ".join(name for name, each in whys.items() if each == why)
+    for why, names in grouped(whys).items():
+        yield f"{', '.join(names)}: no line for guiding: {why}"
 
 
 def _bodies(robot: NewRobot) -> Iterator[str]:
@@ -204,10 +198,9 @@ def _joints(robot: NewRobot) -> Iterator[str]:
 
 def _inertias(robot: NewRobot) -> Iterator[str]:
     arm, inertias = robot.parsed.arm, robot.parsed.inertias
-    for why, links in _grouped({link: each.assumed for link, each in inertias.items()}):
-        if why:
-            mass = sum(k.inertia.mass for k in inertias.values() if k.assumed == why)
-            yield f"inertia assumed of {links}: {why}, {mass:.3g} kg in total"
+    for why, links in grouped({link: each.assumed for link, each in inertias.items()}).items():
+        mass = sum(inertias[link].inertia.mass for link in links)
+        yield f"inertia assumed of {', '.join(links)}: {why}, {mass:.3g} kg in total"
     for joint, links in zip(arm.joints, arm.segments[1:], strict=True):
         if sum(inertias[link].inertia.mass for link in links) <= 0:
             yield f"no link that {joint.name} alone moves has a mass: the inertia is zero"

@@ -144,32 +144,14 @@ def _renamed(tree: Tree, links: Mapping[str, str], joints: Mapping[str, str]) ->
 def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     """A tree with one joint for each telescope from `base` to `tip`; a sentence on each telescope.
 
-    A telescope has one independent prismatic joint and others that follow it (`<mimic>`). In the
-    new tree, this joint alone moves the last part, by the sum of all positions. Each other part
-    becomes a child of the last part, on an independent prismatic joint, whose limits include all
-    positions of the part relative to the last part.
+    A telescope has one independent prismatic joint, the leader, and parallel ones that follow it
+    (`<mimic>`), with only fixed joints between them. In the new tree, the leader alone moves the
+    last part, by the sum of all positions. Each other part becomes a child of the last part, on an
+    independent prismatic joint, whose limits include all positions of the part relative to it.
     """
     if not {base, tip} <= tree.links.keys():
         return tree, []  # `find_arm` reports this
-    joints, said = dict(tree.joints), []
-    for leader, parts, places, sums in _telescopes(tree.chain(base, tip)):
-        joints |= {joint.name: joint for joint in _joined(tree, leader, parts, places, sums)}
-        said.append(
-            f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
-            f"one joint: the position of {leader.name} is now the sum of their positions"
-        )
-    return replace(tree, joints=joints), said
-
-
-def _telescopes(
-    chain: list[Joint],
-) -> Iterator[tuple[Joint, list[Joint], list[pin.SE3], list[float]]]:
-    """For each telescope: its leader (the independent joint), the joints of its parts, the poses of
-    the parts relative to the parent of the first one, and the total travel of each part along the
-    axis of the first part, for a unit travel of the leader.
-
-    The joints of the parts are prismatic and parallel, with only fixed joints between them.
-    """
+    joints, said, chain = dict(tree.joints), [], tree.chain(base, tip)
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
         parts = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
@@ -181,12 +163,19 @@ def _telescopes(
         motions = [joint.motion(q) for joint, q in zip(run, offsets, strict=True)]
         names = [joint.name for joint in run]
         poses = dict(zip(names, accumulate(motions, mul), strict=True))
-        axes = [poses[joint.name].rotation @ joint.axis for joint in parts]
+        places = [poses[joint.name] for joint in parts]
+        axes = [T.rotation @ joint.axis for T, joint in zip(places, parts, strict=True)]
         cosines = [float(axes[0] @ axis) for axis in axes]
         factors = (joint.mimic[1] if joint.mimic else 1.0 for joint in parts)
         sums = [*accumulate(k * f for k, f in zip(map(round, cosines), factors, strict=True))]
-        if min(map(abs, cosines)) > PARALLEL and sums[-1] != 0.0:
-            yield leader, parts, [poses[joint.name] for joint in parts], sums
+        if min(map(abs, cosines)) <= PARALLEL or sums[-1] == 0.0:
+            continue
+        joints |= {joint.name: joint for joint in _joined(tree, leader, parts, places, sums)}
+        said.append(
+            f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
+            f"one joint: the position of {leader.name} is now the sum of their positions"
+        )
+    return replace(tree, joints=joints), said
 
 
 def _joined(
@@ -196,8 +185,10 @@ def _joined(
     places: Sequence[pin.SE3],
     sums: Sequence[float],
 ) -> Iterator[Joint]:
-    """The changed joints for a telescope: the leader moves the last part, the others are on it, and
-    joints outside that follow one of the parts follow the leader.
+    """The changed joints of a telescope, and of joints outside that follow one of its `parts`.
+
+    `places` are the poses of the parts relative to the parent of the first one. `sums` are the
+    travels of the parts along the first axis, for a unit travel of the leader.
     """
     low, high = leader.lower or 0.0, leader.upper or 0.0
     total, end, last = abs(sums[-1]), places[-1], parts[-1].child

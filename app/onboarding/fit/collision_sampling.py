@@ -1,16 +1,19 @@
-"""Collision sampling: the units (groups of links) that meet in random postures of the arm."""
+"""Units (groups of links) that meet in random postures, and joint limits that keep them apart."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, compress, product
+from itertools import chain, combinations, compress, product
 from typing import NamedTuple
 
 import numpy as np
 
+from app.config import parameter
+from app.errors import RobotFileError
 from app.jobs.pool import ALONE, Workers
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.units import (
     Pairs,
+    Placed,
     Unit,
     hull_distances,
     link_shapes,
@@ -20,7 +23,9 @@ from app.onboarding.fit.units import (
     shape_distances,
     units_of_links,
 )
+from app.onboarding.numbers import Limits
 from app.onboarding.read.links import Geometry
+from app.onboarding.read.tree import Arm
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
@@ -31,6 +36,7 @@ BUILT_IN = 0.5  # [-] smallest share of the postures in which two nested units t
 NESTED = BUILT_IN**2
 """[-] smallest share of random postures in which nested links touch, unless they are `grazing`: the
 product of the shares in which their units touch and, among these postures, the links."""
+LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
 _FEWEST = 50  # [-] smallest number of free postures for finding close pairs
 _MAX_LOOKS = 200  # [-] about this number of postures is searched for touched points of two units
 _OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
@@ -42,6 +48,9 @@ _PARTS = 4  # [-] parts of the random postures, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
 _NEAREST, _TRIES = 20, 10  # [-] postures that are varied at a time, and variations of each posture
 _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] standard deviations, relative to a joint's range
+_VALUES = 400  # [-] sampled positions of a joint that may be limited
+_OTHERS = 60  # [-] sampled postures of the other joints at each of these positions
+_ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
 
 
 class Postures(NamedTuple):
@@ -50,8 +59,7 @@ class Postures(NamedTuple):
     q_m: Array  # (N, n_m) [rad or m]
     distances: Array  # (N, pairs) [m] signed distances of hulls
     possible: Array
-    """(N,) whether no close pair touches; contacts of nested pairs do not count. Joint limits have
-    to prevent the other postures."""
+    """(N,) whether no close pair touches, except nested pairs; limits prevent other postures."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +88,7 @@ class Meetings:
     @property
     def grazing(self) -> frozenset[tuple[int, int]]:
         """Pairs of the arm's units with 30 contacts or more, all of them at most 3 mm deep."""
-        distances = np.vstack([self.random.distances, self.rare.distances])
-        return _grazing(self.units, self.pairs, distances)
+        return _grazing(self.units, self.pairs, self.random.distances, self.rare.distances)
 
     @property
     def collides(self) -> Array:
@@ -93,6 +100,27 @@ class Meetings:
         """(N,) for each point of a unit's surface: whether a unit of `others` can reach it."""
         none = np.zeros(len(self.units[unit].surface), dtype=bool)
         return np.any([none, *(self.met.get((unit, k), none) for k in others)], axis=0)
+
+    def touch_within(self, pair: tuple[int, int], lower: Array, upper: Array) -> bool:
+        """Whether two units touch in at least one random posture within joint limits (n_m,)."""
+        q_m, gaps = self.random.q_m, self.random.distances[:, self.pairs.index(pair)]
+        return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
+
+    def monitored_from(self, pair: tuple[int, int]) -> float:
+        """A d_b [m] with which a pair can monitor two units, or 0 if none is valid.
+
+        The units are outside of the buffer in the share `ALWAYS` of the free postures, although
+        1 − `ALWAYS` would be sufficient for the links: their bodies are larger.
+        """
+        distances = self.random.distances
+        gaps = distances[_free_postures(distances), self.pairs.index(pair)]
+        wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
+        return wanted if wanted >= parameter("border.d_b").low else 0.0
+
+    def detectable(self, pair: tuple[int, int]) -> str:
+        """A text with a d_b with which a pair can detect a contact; empty if no d_b is valid."""
+        d_b = self.monitored_from(pair)
+        return f", which a pair can detect with --buffer-distance {d_b:g} or less" if d_b else ""
 
 
 def sample_meetings(
@@ -129,9 +157,9 @@ def sample_meetings(
         hits = np.count_nonzero(random.possible & found.collides.any(axis=1))
         if hits >= enough or len(q_m) >= _MAX_POSTURES:
             break
-    rare_q = _rare_postures(model, units, pairs, (q_m, distances), close, seed)
+    rare_q = _rare_postures(model, found, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
-    graze = _grazing(units, pairs, np.vstack([distances, gaps])).difference(counted)
+    graze = _grazing(units, pairs, distances, gaps).difference(counted)
     barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
     random, rare = (
         Postures(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
@@ -139,10 +167,7 @@ def sample_meetings(
     )
     found = replace(found, close=close | graze, random=random, rare=rare)
     jobs = [] if stopped else [(found, model, k) for k in range(len(pairs))]
-    met: dict[tuple[int, int], Array] = {}
-    for masks in workers.map(_met, jobs):
-        met.update(masks)
-    return replace(found, met=met)
+    return replace(found, met=dict(chain.from_iterable(workers.map(_met, jobs))))
 
 
 def _built_near(
@@ -160,9 +185,9 @@ def _built_near(
     return close, apart, [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
 
 
-def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
+def _grazing(units: Sequence[Unit], pairs: Pairs, *distances: Array) -> frozenset[tuple[int, int]]:
     """Pairs of the arm's units with `_RARE` contacts or more, at most `GRAZE` deep."""
-    depths = np.sort(-distances, axis=0)[-_RARE:]
+    depths = np.sort(-np.vstack(distances), axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= GRAZE)
     touching = compress(pairs, shallow)
     return frozenset((u, v) for u, v in touching if min(units[u].joint, units[v].joint) > 1)
@@ -190,7 +215,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     q_m = np.vstack([found.random.q_m, found.rare.q_m]) if grazing else found.random.q_m[:ENOUGH]
     links, gaps = link_gaps(model, a, b, q_m)
     if grazing:
-        return [*compress(links, (gaps <= 0.0).any(axis=0))]
+        return [*compress(links, np.any(gaps <= 0.0, axis=0))]
     met = (gaps <= 0.0).any(axis=1)
     if (u, v) not in found.nested and met.mean() < BUILT_IN:
         return []
@@ -201,10 +226,17 @@ def link_gaps(
     model: RobotModel, u: Unit, v: Unit, q_m: Array
 ) -> tuple[list[tuple[str, str]], Array]:
     """Pairs (link of u, link of v), and their distances (N, pairs) [m] in postures q_m (N, n_m)."""
-    own, other = link_shapes([u]), link_shapes([v])
-    pairs = [*product(range(len(own)), range(len(own), len(own) + len(other)))]
-    gaps = shape_distances(model, [*own.values(), *other.values()], pairs, q_m)
-    return [*product(own, other)], gaps
+    pairs = [*product(link_shapes([u]), link_shapes([v]))]
+    return pairs, _link_distances(model, link_shapes([u, v]), pairs, q_m)
+
+
+def _link_distances(
+    model: RobotModel, shapes: dict[str, list[Placed]], pairs: Sequence[tuple[str, str]], q_m: Array
+) -> Array:
+    """(N, pairs) [m] distances between links, whose hulls are in `shapes` by their names."""
+    number = list(shapes).index
+    numbers = [(number(a), number(b)) for a, b in pairs]
+    return shape_distances(model, list(shapes.values()), numbers, q_m)
 
 
 def nested_touches(
@@ -216,31 +248,23 @@ def nested_touches(
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
     named = sorted((min(pair), max(pair)) for pair in model.description.nested)
-    shaped, number = [pair for pair in named if shapes.keys() >= {*pair}], list(shapes).index
-    pairs = [(number(a), number(b)) for a, b in shaped]
+    shaped = [pair for pair in named if shapes.keys() >= {*pair}]
     q_m = sample_joints(model, ENOUGH, np.random.default_rng(0))
-    gaps = shape_distances(model, list(shapes.values()), pairs, q_m)
+    gaps = _link_distances(model, shapes, shaped, q_m)
     touches = zip((gaps <= 0.0).mean(axis=0).tolist(), (-gaps).max(axis=0).tolist(), strict=True)
     return dict.fromkeys(named, (0.0, 0.0)) | dict(zip(shaped, touches, strict=True))
 
 
-def _rare_postures(
-    model: RobotModel,
-    units: Sequence[Unit],
-    pairs: Pairs,
-    sampled: tuple[Array, Array],
-    close: frozenset[tuple[int, int]],
-    seed: int,
-) -> Array:
-    """(N, n_m) further colliding postures of pairs that collide in fewer than `_RARE` sampled ones:
-    variations of the postures in which the pair is nearest. Pairs in `close`, and pairs always more
-    than `_FAR` apart, are left out. `sampled`: postures (N, n_m), distances (N, pairs).
+def _rare_postures(model: RobotModel, met: Meetings, seed: int) -> Array:
+    """(N, n_m) further colliding postures of pairs that collide in fewer than `_RARE` random ones:
+    variations of the postures in which the pair is nearest. Pairs in `met.close`, and pairs always
+    more than `_FAR` apart, are left out.
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]
-    for k, (a, b) in enumerate(pairs):
-        q_m, gaps = sampled[0], sampled[1][:, k]
-        if (a, b) in close or np.count_nonzero(gaps <= 0.0) >= _RARE or gaps.min() > _FAR:
+    for k, (a, b) in enumerate(met.pairs):
+        q_m, gaps = met.random.q_m, met.random.distances[:, k]
+        if (a, b) in met.close or np.count_nonzero(gaps <= 0.0) >= _RARE or gaps.min() > _FAR:
             continue
         nearest = np.argsort(gaps)[:_NEAREST]
         for spread in _SPREADS:
@@ -248,28 +272,29 @@ def _rare_postures(
             varied = np.repeat(q_m, _TRIES, axis=0)
             varied = varied + spread * span * rng.standard_normal(varied.shape)
             varied = np.clip(varied, model.q_lower, model.q_upper)
-            found_gaps = hull_distances(model, (units[a], units[b]), [(0, 1)], varied)[:, 0]
+            both = met.units[a], met.units[b]
+            found_gaps = hull_distances(model, both, [(0, 1)], varied)[:, 0]
             found.append(varied[found_gaps <= 0.0])
             q_m, gaps = np.vstack([q_m, varied]), np.concatenate([gaps, found_gaps])
-            met = rng.permutation(np.flatnonzero(gaps <= 0.0))
-            nearest = met[:_NEAREST] if len(met) >= _NEAREST else np.argsort(gaps)[:_NEAREST]
+            hits = rng.permutation(np.flatnonzero(gaps <= 0.0))
+            nearest = hits[:_NEAREST] if len(hits) >= _NEAREST else np.argsort(gaps)[:_NEAREST]
     return np.vstack(found)
 
 
-def free_postures(distances: Array) -> Array:
+def _free_postures(distances: Array) -> Array:
     """(N,) whether no hulls touch, by distances (N, pairs) [m]; all True if under 50 are free."""
     free = np.asarray((distances > 0.0).all(axis=1))
     return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
 
 
 def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
-    """Pairs within d_b [m] in more than `ALWAYS` of the free postures; see `free_postures`."""
-    near = (distances[free_postures(distances)] < d_b).mean(axis=0)
+    """Pairs within d_b [m] in more than `ALWAYS` of the free postures; see `_free_postures`."""
+    near = (distances[_free_postures(distances)] < d_b).mean(axis=0)
     return frozenset(compress(pairs, near > ALWAYS))
 
 
-def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:
-    """The entries of `met` for one pair of units; the job has the index of the pair."""
+def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> list[tuple[tuple[int, int], Array]]:
+    """The items of `met` for one pair of units; the job has the index of the pair."""
     found, model, k = job
     units, (a, b), column = found.units, found.pairs[k], found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
@@ -280,7 +305,7 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
         rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]
         postures = np.vstack([postures, rare])
     if (a, b) in found.close or not len(postures):
-        return {}
+        return []
     masks = {(u, v): np.zeros(len(units[u].surface), dtype=bool) for u, v in ((a, b), (b, a))}
     for posture in postures:
         placed = placements(model, posture)
@@ -290,4 +315,80 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
             along = moved(units[u].surface[left], T) @ directions(2).T
             for part in units[v].parts:  # all its hulls, grown by `MARGIN`
                 mask[left] |= (along <= part.reach + MARGIN).all(axis=1)
-    return masks
+    return [*masks.items()]
+
+
+def with_stops(
+    limits: Limits,
+    model: RobotModel,
+    arm: Arm,
+    meetings: Meetings,
+    ready: Sequence[float] | None = None,
+) -> Limits:
+    """Joint limits that, if possible, prevent contact of the base with links close to it by design.
+
+    For each of these links that touches the base in a sampled posture, one joint before the link
+    gets narrower limits: the joint that retains the largest share of its range. If no joint retains
+    a quarter of its range, or of a turn if this is less, no limit changes; see `watching_buffer`.
+    `ready` (n_m,) is a posture that the limits have to include, or None.
+
+    Raises:
+        RobotFileError: Limits can prevent the contact, but none of them includes `ready`.
+    """
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    stops = {}
+    for u, v in sorted(meetings.close & meetings.apart):
+        a, b = meetings.units[u], meetings.units[v]
+        if not meetings.touch_within((u, v), lower, upper):
+            continue
+        postures = sample_joints(model, _OTHERS, np.random.default_rng(0)).clip(lower, upper)
+        stopping, possible = [], False
+        for joint in range(b.joint - 1):  # pinocchio's joint 2 is the first one of the arm
+            values = np.linspace(lower[joint], upper[joint], _VALUES)
+            tried = np.repeat(postures[:, None], _VALUES, axis=1)
+            tried[:, :, joint] = values
+            found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
+            nearest = found.reshape(_OTHERS, _VALUES).min(axis=0)
+            clear = nearest > contact_margin(nearest)
+            span = upper[joint] - lower[joint]
+            for first, after in np.flatnonzero(np.diff(np.pad(clear, 1))).reshape(-1, 2):
+                low, high = values[first], values[after - 1]
+                enough = high - low >= LEAST * min(span, 2 * np.pi)
+                possible = possible or enough
+                if enough and (ready is None or low <= ready[joint] <= high):
+                    share = round((high - low) / span / _ALIKE)
+                    stopping.append((share, -abs(low + high), joint, low, high))
+        if stopping:
+            *_, joint, low, high = max(stopping)
+            lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
+            name, detects = arm.joints[joint].name, meetings.detectable((u, v))
+            reason = f"{b.name} reaches {a.name}{detects}"
+            stops[name] = f"{stops[name]}, and {reason}" if name in stops else reason
+        elif possible:
+            raise RobotFileError(
+                f"--ready: {b.name} can meet {a.name} near this posture; choose another posture"
+            )
+    return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), stops=stops)
+
+
+def contact_margin(distances: Array) -> float:
+    """[m] distance up to which two links with `distances` (N,) [m] in postures count as in contact:
+    `MARGIN`, or half of the largest of `distances` if that is less, as for adjacent links.
+    """
+    return float(np.clip(distances.max() / 2, 0.0, MARGIN))
+
+
+def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
+    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
+
+    It is `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that
+    no valid value of `border.d_b` makes detectable are ignored.
+    """
+    least, why = d_b, ""
+    for u, v in sorted(meetings.close & meetings.apart):
+        wanted = meetings.monitored_from((u, v))
+        met = meetings.touch_within((u, v), np.array(limits.lower), np.array(limits.upper))
+        if met and 0.0 < wanted < least:
+            a, b = (meetings.units[k].name for k in (u, v))
+            least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most postures"
+    return least, why

@@ -21,12 +21,13 @@ from app.onboarding.fit.collision_sampling import (
     ALWAYS,
     BUILT_IN,
     ENOUGH,
+    LEAST,
     Meetings,
+    contact_margin,
     link_gaps,
     nested_links,
     sample_meetings,
 )
-from app.onboarding.fit.stops import LEAST, contact_margin, detectable
 from app.onboarding.fit.units import (
     Unit,
     hull_distances,
@@ -368,7 +369,7 @@ def _left_out(
         (a, b), touching = both[k], gaps[:, k] <= contact_margin(gaps[:, k])
         free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
         if k < len(near) and near[k] not in met.grazing:
-            free = detectable(met, near[k]) + free
+            free = met.detectable(near[k]) + free
         said.append(f"{a.name} and {b.name} ({shares[k]:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 
