@@ -36,16 +36,9 @@ from app.simulation.trace.columns import axis_name
 _log = logging.getLogger(__name__)
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
-_STATES = 20  # [-] number of random states for comparing the dynamics
-_AGREE = 1e-6  # [-] largest difference of the dynamics, relative to the largest entry
 _FASTEST = 20.0  # [rad/s or m/s] largest plausible speed of a joint
 _STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m], [N] largest plausible effort of a joint
-_MARGIN = 0.02  # [-] smallest margin of the ready posture to a limit, relative to the joint's range
-_OUT_OF_BASE = 0.01  # [m] largest distance by which a mesh of the base may extend beyond l_m
 _LAYER = 0.05  # [m] height of a layer of the border
-_NEAR_POSTURES = 1000  # [-] number of random postures for the share inside of a buffer
-_MANY = 500  # [-] smallest number of points inside the border in a layer that counts as reached
-_FEW = 10  # [-] smallest number of border points in a layer that does not count as empty
 _TOUCHED = {
     "in_contact": "arm and base",
     "arm_in_contact": "the arm and itself",
@@ -143,7 +136,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
     rng, state, n_b = np.random.default_rng(0), RobotState(model), model.n_b
     worst = {"M_difference": 0.0, "nle_difference": 0.0}
     with closing(engine):
-        for q_m in sample_joints(model, _STATES, rng):
+        for q_m in sample_joints(model, 20, rng):
             qd = np.concatenate([rng.uniform(-1, 1, n_b), rng.uniform(-0.5, 0.5, model.n_m)])
             base_velocity = model.J_m @ qd[:n_b]
             state.update(Measurement(np.zeros(3), base_velocity, q_m, qd[n_b:]))
@@ -152,7 +145,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
                 worst[key] = max(worst[key], float(np.abs(theirs - own).max() / np.abs(own).max()))
     most = max(worst.values())
     text = f"M and C q̇ + g differ from pinocchio's by {most:.1e} of the largest entry"
-    if most < _AGREE:
+    if most < 1e-6:
         return Row(name, "passed", text, worst)
     text += "; add an <inertial> to every link, with the mass 0 for frames"
     return Row(name, "failed", text, worst)
@@ -230,7 +223,7 @@ def base_row(model: RobotModel) -> Row:
         return Row("base's body", "failed", "the base's links have no shapes", {})
     out = float(MobileBody(model).distance(points).max())
     text = f"the base's meshes extend beyond its body by at most {max(out, 0.0):.4f} m"
-    good = out <= _OUT_OF_BASE
+    good = out <= 0.01
     return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
 
 
@@ -313,7 +306,7 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     if not pairs.mobile:
         return Row("pairs", "warned", "no monitored part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
-    postures = sample_joints(model, _NEAR_POSTURES, np.random.default_rng(1))
+    postures = sample_joints(model, 1000, np.random.default_rng(1))
     d = PairDistances(model, pairs.all).sampled(postures)
     free = (d > 0.0).all(axis=1)
     near = (d[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
@@ -334,7 +327,7 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
     q_m = np.array(model.description.arm.ready_position)
     span = model.q_upper - model.q_lower
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
-    numbers, text, good = {"least_joint_margin": left}, "no bodies can meet", left >= _MARGIN
+    numbers, text, good = {"least_joint_margin": left}, "no bodies can meet", left >= 0.02
     if data.pairs.all:
         ready = judge_ready(model, data.pairs, q_m)
         numbers["beyond_buffer_m"], good = ready.beyond_buffer, good and ready.beyond_buffer >= 0
@@ -364,8 +357,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
         inside = cloud.points_m[cloud.d_m < border.d_b - border.eps][:, 2]
         lowest, highest = float(made.heights[0]), float(made.heights[-1])
         for z in np.arange(_LAYER / 2, top, _LAYER).round(3).tolist():
-            reached = np.count_nonzero(np.abs(inside - z) < _LAYER / 2) >= _MANY
-            if reached and len(made.same_height(z, _LAYER / 2)) < _FEW:
+            reached = np.count_nonzero(np.abs(inside - z) < _LAYER / 2) >= 500
+            if reached and len(made.same_height(z, _LAYER / 2)) < 10:
                 between = lowest < z - _LAYER and z + _LAYER < highest
                 (empty if between else ends).append(f"{name} at z = {z:.2f} m")
     if not any(numbers.values()):

@@ -28,16 +28,11 @@ _TURN = np.pi  # [rad] assumed travel on a side without limit, from zero or from
 _SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
 _SPEEDS = "1.5 rad/s or 0.3 m/s"  # these limits in words
 _LARGEST = 1000.0  # [rad] or [m] position limit from which a joint has no limit on this side
-_DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
 _TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)  # a bound also holds after rounding
-_TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
 _MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}  # [N m], [N] assumed
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
-_STRONG = 30.0  # [N m] smallest effort of a strong joint
-_STEP = 1e-3  # [s] time step for which the damping is stable
-_SAMPLES = 400  # [-] number of random postures for gravity loads and inertias
 
 
 def with_source(
@@ -135,9 +130,9 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
     for joint, effort, m in zip(arm.joints, limits.effort, least, strict=True):
-        strength = "strong" if effort >= _STRONG else "weak"
+        strength = "strong" if effort >= 30.0 else "weak"
         wanted = _DAMPING["prismatic" if joint.kind == "prismatic" else strength]
-        found.append(float(_TWO_DIGITS.create_decimal(min(wanted, m / (STABLE_STEPS * _STEP)))))
+        found.append(float(_TWO_DIGITS.create_decimal(min(wanted, m / (STABLE_STEPS * 1e-3)))))
     return tuple(found)
 
 
@@ -151,7 +146,7 @@ def gravity_load(model: RobotModel) -> Array:
 
 def largest_of_postures(model: RobotModel, values: Callable[[Array], Array]) -> Array:
     """(n_m,) maximum over random postures of `values`, a function of pinocchio's configuration."""
-    postures = sample_joints(model, _SAMPLES, np.random.default_rng(0))
+    postures = sample_joints(model, 400, np.random.default_rng(0))
     q = (model.configuration((0.0, 0.0, 0.0), posture) for posture in postures)
     return np.max([values(each) for each in q], axis=0)
 
@@ -185,9 +180,9 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
             why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'
         elif len(limits) == 2 and not limits[0] < limits[1]:
             why = "have a lower limit that is not below the upper limit; correct the <limit>"
-        elif joint.kind == "prismatic" and farthest > _TOO_FAR:
+        elif joint.kind == "prismatic" and farthest > 5.0:
             why = "have limits of many metres, which are probably millimetres; write metres"
-        elif joint.kind == "revolute" and farthest > _DEGREES:
+        elif joint.kind == "revolute" and farthest > 4 * np.pi:
             why = "have limits of more than two turns, which are probably degrees; write radians "
             why += '(90 degrees are 1.5708), or type="continuous" for a joint without limits'
         else:
@@ -227,8 +222,6 @@ _COMPACT = 225.0  # [kg] mass of a base of 0.5 m³ with `BASE_DENSITY`
 _BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as for the paper's robot
 _ACCELERATION = 3.0, 6.0  # [m/s²], [rad/s²] as for the paper's robot
 _FRICTION = 0.5  # [-] coefficient of friction between wheels and floor
-_YAW_FACTOR = 2.0  # [-] factor of the yaw inertia, as for the paper's robot
-_GRAVITY = 9.81  # [m/s²]
 _AS_PAPERS = "assumed: as for the paper's robot"
 
 
@@ -258,7 +251,7 @@ def base_numbers(
     weighed = "measured: sum of the URDF's masses"
     if assumed := assumed_mass(inertias, inertias):
         weighed = f"assumed: {assumed:.3g} kg from volumes; the rest is from the URDF"
-    factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready posture"
+    factor, about = 2.0, "the yaw inertia of the whole robot in its ready posture"
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
     if wheels.steering:
         factor, inertia = 1.0, f"measured: {about}, about the rear axle"
@@ -268,7 +261,7 @@ def base_numbers(
         "max_linear_velocity_mps": (round(v, 3), limit),
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
         "traction_limit_n": (
-            round(_FRICTION * _GRAVITY * mass, 1),
+            round(_FRICTION * 9.81 * mass, 1),
             f"assumed: friction coefficient {_FRICTION:g}, with the whole weight on driven wheels",
         ),
         "drive_time_constant_s": (0.05, "assumed: half of a 10 Hz command period"),
@@ -303,9 +296,6 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
 SHARES = 0.5, 0.2, FLOOR
 """[-] shares of the peak above which (9) is fitted, best first; the tails are not parabolic."""
 COUNTED_POSTURES = 20_000  # [-] random joint positions for counting a reachability
-_REACH_SAMPLES = 2000  # [-] number of random postures for an assumed reachability
-_WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
-_MIN_WIDTH = 0.1  # [m] smallest half width of an assumed reachability
 
 
 class Reach(NamedTuple):
@@ -378,9 +368,9 @@ def _assumed(model: RobotModel, body: str, why: str) -> Reach:
     """A parabola about the mean distance of the first shape to the mount, assumed because `why`."""
     shape, mount = model.geometry.geometryObjects[model.shape_ids[body][0]], model.p_base()
     rho = []
-    for q in sample_joints(model, _REACH_SAMPLES, np.random.default_rng(0)):
+    for q in sample_joints(model, 2000, np.random.default_rng(0)):
         at = placements(model, q)[shape.parentJoint].act(shape.placement.translation)
         rho.append(float(np.linalg.norm(at - mount)))
-    B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _MIN_WIDTH)
+    B, width = float(np.mean(rho)), max(3.0 * float(np.std(rho)), 0.1)
     source = f"assumed: a parabola about the body's mean distance in random postures; {why}"
     return Reach(PEAK / width**2, B, PEAK, source, None, None)

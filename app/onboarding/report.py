@@ -31,8 +31,6 @@ reach these parts; or by mistake, because a link of another body can reach them.
 
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
 """Colours of links: None for links inside of their bodies."""
-_BARE = 0.005  # [m] distance beyond its body up to which a point of a link counts as enclosed
-_BODY = "#0072B2"  # colour of all bodies in the 3D view
 _ORIGIN = (0.0, 0.0, 0.0)  # pose of the base
 
 
@@ -273,7 +271,7 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
         joint = robot.model.body_joints[body.name]
         for unit in (robot.meetings.units[u] for u in body.units):
             points = moved(unit.surface, placed[joint].actInv(placed[unit.joint]))
-            out = outside(robot.model, body.name, points) > _BARE
+            out = outside(robot.model, body.name, points) > 0.005
             met = out & robot.meetings.needed(unit.index, others)
             links = np.array(unit.links)[unit.owners]
             found |= dict.fromkeys(links[out].tolist(), "design")
@@ -286,7 +284,7 @@ def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bar
     hulls = _hulls(robot, placed, bare)
     links = [(trimesh.convex.convex_hull(points), colour, 1.0) for points, colour in hulls]
     meshes = robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)
-    bodies = [(mesh, _BODY, 0.3) for _, mesh in meshes]
+    bodies = [(mesh, "#0072B2", 0.3) for _, mesh in meshes]
     scene = trimesh.Scene()
     for mesh, colour, alpha in (*links, *bodies):
         material = trimesh.visual.material.PBRMaterial(

@@ -30,19 +30,8 @@ from app.robot.shapes import shape_mesh
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-_IN_FLOOR = 0.005  # [m] largest depth below the floor without a warning
-_FALSE = 0.1  # [-] largest share of free postures in which the bodies of a pair overlap
-_OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
-_TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
-_FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
 _POSTURES, _SAMPLES = 100, 2000  # [-] largest numbers of postures near the base, and of random ones
-_NEAR = 0.30  # [m] largest distance between arm and base in a posture near the base
-_LEFT = 0.10  # [-] largest residual of a held end-effector, relative to the base's motion
-_LEVER = 0.3  # [m] lever that converts a rotation to a translation
-_NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
-_OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
 _LIMIT = "limit the joints between them by position_lower and position_upper of robot.toml"
-_LEAST_D_B = parameter("border.d_b").low  # [m]
 _OFTEN = 0.25  # [-] share of postures above which there is a warning
 
 
@@ -75,7 +64,7 @@ def _places(robot: NewRobot) -> Iterator[str]:
         corners = np.vstack([moved(part.corners, placed[unit.joint]) for part in unit.parts])
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
         fixed = unit.index == 1  # no posture moves it
-        if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
+        if (deep := -float(corners[:, 2].min())) > 0.005:
             yield f"links {deep:.3g} m below the floor in the ready posture: {names}; {look}"
         elif (base.distance(corners) <= 0.0).all():
             where = "the base's body" + ", so no link can meet them" * fixed
@@ -87,7 +76,11 @@ def _postures(robot: NewRobot) -> Iterator[str]:
     d_b, ready, near = robot.request.buffer, robot.ready, robot.verdict.near
     if ready.beyond_buffer < 0:
         most = np.floor(100 * (d_b + ready.beyond_buffer)) / 100
-        smaller = f" or a --buffer-distance of at most {most:g}" if most >= _LEAST_D_B else ""
+        smaller = (
+            f" or a --buffer-distance of at most {most:g}"
+            if most >= parameter("border.d_b").low
+            else ""
+        )
         yield (
             f"the pair {ready.nearest} is {-ready.beyond_buffer:.3f} m inside its buffer in the "
             f"ready posture; set another posture by --ready{smaller}"
@@ -134,21 +127,21 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
     for name in verdict.near:
-        if (overlap := verdict.overlap[name]) > _FALSE:
+        if (overlap := verdict.overlap[name]) > 0.1:
             yield (
                 f"the bodies of the pair {name} overlap in {overlap:.0%} of the free random "
                 "postures: the controller avoids these, although no links collide there"
             )
     for body in robot.bodies:
         links = sum(fit.volume / fit.over_cover for fit in body.fits)  # 0 for flat parts
-        if (volume := sum(fit.volume for fit in body.fits)) > _OVER * links:
+        if (volume := sum(fit.volume for fit in body.fits)) > 2.0 * links:
             ratio = volume / links if links else np.inf
             yield f"{body.name} has {ratio:.1f} times the volume of its links"
 
 
 def _reaches(robot: NewRobot) -> Iterator[str]:
     for name, reach in robot.reach.items():
-        if reach.fit is not None and reach.fit.r_squared < _FITTED:
+        if reach.fit is not None and reach.fit.r_squared < 0.6:
             yield (
                 f"(9) fits the counted reachability of {name} badly, with an R² of "
                 f"{reach.fit.r_squared:.2f}: the scores of the border are only approximate"
@@ -171,7 +164,7 @@ def _scale(robot: NewRobot) -> Iterator[str]:
         total += max(sizes, default=0.0)
     joints = robot.model.pin.jointPlacements[3:]
     apart = sum(float(np.linalg.norm(T.translation)) for T in joints)
-    if total > _TOO_LARGE * apart:
+    if total > 5.0 * apart:
         yield (
             f"the arm's links have a total length of {total:.2g} m, but its joints are only "
             f"{apart:.2g} m apart in total: if meshes are too large in the report, set their "
@@ -251,7 +244,7 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
                     corners = moved(filled[link].corners, frame.placement)
                     outs.append((float(outside(model, body.name, corners).max()), link))
             out, link = max(outs, key=itemgetter(0))
-            if out > _OUT:
+            if out > 0.005:
                 yield f"{link} can move {out:.2f} m out of its body {body.name}"
 
 
@@ -375,13 +368,13 @@ def lost_ee(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
         moved: (6,) [m/s, rad/s] velocity of the end-effector if only the base moves.
         qd_max: (n_m,) [rad/s or m/s] speed limits of the joints.
     """
-    scale = np.repeat([1.0, _LEVER], 3)
+    scale = np.repeat([1.0, 0.3], 3)
     J, motion = scale[:, None] * J_arm, scale * moved
 
     def is_lost(rows: int) -> bool:
         found = lsq_linear(J[:rows], -motion[:rows], (-qd_max, qd_max), method="bvls")
         left = J[:rows] @ found.x + motion[:rows]
-        return _larger_part(left) > _LEFT * _larger_part(motion[:rows]) + _NOTHING
+        return _larger_part(left) > 0.10 * _larger_part(motion[:rows]) + 1e-6
 
     place = is_lost(3)
     return place, place or is_lost(6)
@@ -450,6 +443,6 @@ def _near_postures(model: RobotModel) -> Array:
     distances = PairDistances(model, pairs).sampled(q_m)
     clear = (distances > 0.0).all(axis=1)
     to_base = distances[:, [pair.a == model.body_names[0] for pair in pairs]]
-    near = clear & (to_base < _NEAR).any(axis=1)
+    near = clear & (to_base < 0.30).any(axis=1)
     chosen = near if near.sum() >= _POSTURES // 4 else clear
     return q_m[chosen][:_POSTURES] if chosen.any() else model.q_lower[None]

@@ -23,7 +23,6 @@ from app.strict import Array
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 """[-] weights of volumes for the arm; the closest points on a capsule do not jump."""
-_MOST = 4  # [-] largest number of shapes of a body
 _SAVES = 0.03  # [-] contacts per free posture that one more shape of l_m has to save
 _LEFT = 0.85  # [-] largest share of the volume of an arm's body that one more shape leaves
 _APART = 0.1  # [m] smallest distance between the parts of a link that can have separate shapes
@@ -74,7 +73,7 @@ def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
     divisions: list[list[PointHull]] = []
     for new in range(len(groups), 2 * len(groups)):
-        if len(groups) <= _MOST:
+        if len(groups) <= 4:
             divisions.insert(0, [*groups.values()])
         if len(groups) == 1:
             break
@@ -201,7 +200,6 @@ def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
 
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles
-_PASSED = 256  # [-] number of cached results of `_through`
 _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to its inscribed radius
 
 
@@ -222,7 +220,7 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, PointHull
     return {k: hull(np.vstack([own, outer[k], inner[k]])) for k, own in points.items()}
 
 
-@kept_per_model(_PASSED)
+@kept_per_model(256)
 def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
     """Corners (M, 3) [m] around the volume that points sweep while a joint moves through its range.
 

@@ -37,20 +37,15 @@ NESTED = BUILT_IN**2
 """[-] smallest share of random postures in which nested links touch, unless they are `grazing`: the
 product of the shares in which their units touch and, among these postures, the links."""
 LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
-_FEWEST = 50  # [-] smallest number of free postures for finding close pairs
-_MAX_LOOKS = 200  # [-] about this number of postures is searched for touched points of two units
-_OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
 GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
 _RARE = 30  # [-] number of colliding random postures of a pair below which more are searched
 ENOUGH = 600  # [-] number of colliding postures for shares with an accuracy of 0.5 %
 _MORE, _MAX_POSTURES = 1000, 40_000  # [-] postures that are sampled at a time, and in total
-_PARTS = 4  # [-] parts of the random postures, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
 _NEAREST, _TRIES = 20, 10  # [-] postures that are varied at a time, and variations of each posture
 _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] standard deviations, relative to a joint's range
 _VALUES = 400  # [-] sampled positions of a joint that may be limited
 _OTHERS = 60  # [-] sampled postures of the other joints at each of these positions
-_ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
 
 
 class Postures(NamedTuple):
@@ -149,7 +144,7 @@ def sample_meetings(
     while True:
         more = sample_joints(model, _MORE if len(q_m) else samples, rng)
         q_m = np.vstack([q_m, more])
-        parts = [(model, units, pairs, part) for part in np.array_split(more, _PARTS)]
+        parts = [(model, units, pairs, part) for part in np.array_split(more, 4)]
         distances = np.vstack([distances, *workers.map(_look, parts)])
         close, apart, barred = _built_near(units, pairs, distances, d_b, stopped)
         random = Postures(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
@@ -178,7 +173,7 @@ def _built_near(
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
-    deep = compress(pairs, (distances.min(axis=0) < -_OVERLAP) & ~nested)
+    deep = compress(pairs, (distances.min(axis=0) < -0.005) & ~nested)
     apart = close.intersection(pair for pair in deep if units[pair[0]].joint == 1)
     if stopped:
         close -= apart
@@ -284,7 +279,7 @@ def _rare_postures(model: RobotModel, met: Meetings, seed: int) -> Array:
 def _free_postures(distances: Array) -> Array:
     """(N,) whether no hulls touch, by distances (N, pairs) [m]; all True if under 50 are free."""
     free = np.asarray((distances > 0.0).all(axis=1))
-    return free if np.count_nonzero(free) >= _FEWEST else np.ones(len(distances), dtype=bool)
+    return free if np.count_nonzero(free) >= 50 else np.ones(len(distances), dtype=bool)
 
 
 def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
@@ -299,7 +294,7 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> list[tuple[tuple[i
     units, (a, b), column = found.units, found.pairs[k], found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
     # Not all of many postures: a selection that is evenly spread from shallow to deep collisions.
-    met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
+    met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // 200)]
     postures = found.random.q_m[met_in]
     if np.count_nonzero(column <= 0.0) < _RARE:
         rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]
@@ -356,7 +351,7 @@ def with_stops(
                 enough = high - low >= LEAST * min(span, 2 * np.pi)
                 possible = possible or enough
                 if enough and (ready is None or low <= ready[joint] <= high):
-                    share = round((high - low) / span / _ALIKE)
+                    share = round((high - low) / span / 0.05)
                     stopping.append((share, -abs(low + high), joint, low, high))
         if stopping:
             *_, joint, low, high = max(stopping)

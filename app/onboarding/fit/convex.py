@@ -16,10 +16,6 @@ from app.strict import Array
 _UNIT = 1e-4  # [m] resolution of sizes, which are rounded up
 _SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a coordinate, [-] factor of the volume
 _THINNEST = 0.002  # [m] smallest side of a box
-_SAVED = 0.03  # [-] smallest volume that a cut saves, relative to the hull of the whole mesh
-_CUBE = 0.02**3  # [m³] smallest volume that a cut saves; that of a fork of 3 cm is larger
-_TRIANGLES = 2000  # [-] approximate number of triangles in the search of a plane
-_PLANES = 7  # [-] number of tried planes along each axis
 
 
 class PointHull(NamedTuple):
@@ -177,7 +173,7 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     has to save more than 8 cm³, and more than 3 % of the volume of the hull of `mesh`.
     """
     whole = hull(mesh.vertices).volume
-    least = max(_SAVED * whole, _CUBE)
+    least = max(0.03 * whole, 0.02**3)
     done, left = [], [(mesh, whole)]
     while left:
         piece, volume = left.pop()
@@ -195,10 +191,10 @@ def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
     The tried planes are normal to the axes. The search uses only some triangles of a large mesh.
     """
-    some = mesh.faces[:: 1 + len(mesh.faces) // _TRIANGLES]
+    some = mesh.faces[:: 1 + len(mesh.faces) // 2000]
     best, found = np.inf, None
     for normal, low, high in zip(np.eye(3), *mesh.bounds, strict=True):
-        for at in np.outer(np.linspace(low, high, _PLANES + 2)[1:-1], normal):
+        for at in np.outer(np.linspace(low, high, 7 + 2)[1:-1], normal):
             planes = [(normal, at), (-normal, at)]
             sides = [slice_faces_plane(mesh.vertices, some, *plane)[0] for plane in planes]
             volume = sum(hull(vertices).volume for vertices in sides)

@@ -41,22 +41,12 @@ from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.strict import Array
 
-_PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
-_MAX_BODIES = 6  # [-] largest number of bodies of the arm without --bodies
-_MAX_JUDGED = 60  # [-] largest number of groupings that are fitted in one search
 MAX_UNDETECTED = 0.01  # [-] largest share of the links' collisions that their own bodies may miss
 TEST_POSTURES = 4000  # [-] smallest number of random postures for testing the chosen bodies
-_MAX_LOOKED_AT = 300  # [-] largest number of excluded postures in which meshes are compared
 _FEWEST_CONTACTS = 30  # [-] smallest number of postures for naming a range without a contact
-_MAX_NAMED = 4  # [-] largest number of named pairs of links
-_TEST_SEED = 2**31  # [-] seed of the postures for testing, which the fit does not use
 _MISSED = 0.1 * MAX_UNDETECTED  # [-] largest share of colliding postures that a grouping may miss
 _BODY_COST = 0.03  # [-] cost of each body
 _MISSED_COST = 40.0  # [-] cost of missed collisions, per share above `_MISSED`
-_FALSE_COST = 2.0  # [-] cost of free postures in which bodies overlap, per share
-_SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet although its links never do
-_ALWAYS_COST = 1.0  # [-] cost of a pair in `Verdict.always`
-_UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 BY_LINKS = "chosen: some of its links are nearer than d_b by design"
 BY_BODIES = "chosen: its bodies are within d_b in most postures; other pairs detect the collisions"
@@ -154,7 +144,7 @@ def _arm_grouping(
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
         """The best of `found` and the most promising groupings into `counts` bodies, or None."""
-        ranked = _ranked(units, counts, meetings, mobile, slides, apart)[:_MAX_JUDGED]
+        ranked = _ranked(units, counts, meetings, mobile, slides, apart)[:60]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
@@ -169,11 +159,11 @@ def _arm_grouping(
                 found = tried
         return found
 
-    chosen = best(None, min(_PAPER, len(units)) if count is None else count)
+    chosen = best(None, min(4, len(units)) if count is None else count)
     verdict = chosen and chosen.verdict
     good = verdict and not (verdict.always or verdict.spurious or verdict.missed > _MISSED)
     if count is None and not good:
-        chosen = best(chosen, *(k for k in range(2, _MAX_BODIES + 1) if k <= len(units)))
+        chosen = best(chosen, *(k for k in range(2, 6 + 1) if k <= len(units)))
     if chosen is None:
         shaped = [unit for unit in units if meetings.units[unit].parts]
         least = 1 + (1 in shaped and bool(slides))  # see `_ranked`
@@ -216,11 +206,11 @@ def judge(
     missed, false = _share(~seen[real]), _share(seen[~real])
     cost = (
         _MISSED_COST * max(0.0, missed - _MISSED)
-        + _FALSE_COST * false
+        + 2.0 * false
         + _BODY_COST * len(bodies)
-        + _SPURIOUS_COST * len(spurious)
-        + _ALWAYS_COST * len(always)
-        + _UNWATCHED_COST * len(unwatched)
+        + 0.25 * len(spurious)
+        + 1.0 * len(always)
+        + 0.05 * len(unwatched)
     )
     return Verdict(missed, false, overlap, spurious, always, unwatched, near, cost)
 
@@ -285,7 +275,7 @@ def detection_of(
         model,
         units,
         samples=TEST_POSTURES,
-        seed=_TEST_SEED,
+        seed=2**31,
         d_b=d_b,
         enough=ENOUGH,
         stopped=True,
@@ -357,7 +347,7 @@ def _left_out(
     touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
     rows = np.flatnonzero(touch.any(axis=1))
     rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
-    looked = rows[:: -(-len(rows) // _MAX_LOOKED_AT)] if len(rows) else rows
+    looked = rows[:: -(-len(rows) // 300)] if len(rows) else rows
     real, both = touch[looked], [(units[u], units[v]) for u, v in (*near, *beside)]
     for k, (a, b) in enumerate(both):  # hulls of adjacent links often overlap
         own = touch[looked, k]
@@ -365,7 +355,7 @@ def _left_out(
     scale = len(rows) / max(1, len(looked))
     shares = real.sum(axis=0) * scale / len(q_m)
     said = []
-    for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]:
+    for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:4]:
         (a, b), touching = both[k], gaps[:, k] <= contact_margin(gaps[:, k])
         free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
         if k < len(near) and near[k] not in met.grazing:

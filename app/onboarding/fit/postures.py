@@ -34,7 +34,6 @@ RULE = (
 _SAMPLES = 6000  # [-] number of random postures
 _KEPT = 0.1  # [-] margin to both limits, relative to a joint's range
 _ENOUGH = 0.15  # [m] distance beyond the buffer above which more has no advantage
-_FLOOR = 0.1  # [m] smallest distance between the arm and the floor
 
 
 class Ready(NamedTuple):
@@ -89,7 +88,7 @@ def _placed(search: PostureSearch, mount: Array) -> float:
     at = search.state.T_world_ee
     out = at.translation - mount
     away = float(np.hypot(*out[:2]))
-    if search.above_floor() < _FLOOR or away < 0.05:
+    if search.above_floor() < 0.1 or away < 0.05:
         return -10.0
     ahead = out[0] / away  # 1 in front, 0 beside, -1 behind
     points = at.rotation[:, 2]
@@ -109,28 +108,20 @@ _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
 _MAX_STARTS = 40  # [-] largest number of quick searches of a start; a failure takes 0.1 to 0.2 s
 _MAX_COMPLETE = 8  # [-] largest number of complete searches of a start; a failure takes 0.3 to 2 s
-_OTHER = 0.1  # [m] smallest distance between the ends of two lines
 _FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start from the base, and its step
 _OUTSIDE = 0.05  # [m] smallest distance of a start from the buffer
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] distances of the end of a line from a base at rest
 _STEP = 0.0125  # [m] step along a line
-_OVER_MOUNT = 0.4  # [m] height above the mount to which the tops of l_m's parts are clipped
 _HEIGHTS = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
 """Heights of lines, the best ones first: a share [-] of a part's top, and an addition [m]."""
-_JUST_OVER = 0.025  # [m] height above the top of a part of l_m for the last lines
 _SAME_TOP = 0.1  # [m] difference below which the tops of two parts count as equal
-_SHARES = np.linspace(0.1, 1.0, 10)  # [-] steps of the path from a known posture
 _NEAR = 0.15  # [m] largest distance of a position from the end-effector in a known posture
-_THERE = 1e-3  # [m] tolerance of the position
-_TRIES = 6  # [-] number of known postures that are tried
 _FEW = 2  # [-] number of tries of a quick search
-_MAX_NAMED = 3  # [-] largest number of named reasons of failed starts
 _FLOOR_ON_LINE = f"the arm would be nearer than {_LOWEST:g} m to the floor on the line"
 _NOT_SMALLER = (
     "with these joint limits a smaller --buffer-distance probably does not help; a mount nearer to "
     "this side may help (--mount-xyz of an --arm-urdf)"
 )
-_SINGULAR = 1e-9  # [m/(N s)] mobility that regularises a singular posture
 
 
 class Place(NamedTuple):
@@ -314,7 +305,7 @@ class _Guide:
     def obstacles(self) -> str:
         """Why no line leads near the base: the best line, and the main reasons of failed starts."""
         by = {OUT_OF_REACH: f" by about {self._short:.2f} m"} if self._short > _NEAR else {}
-        rows, of = self._obstacles.most_common(_MAX_NAMED), sum(self._obstacles.values())
+        rows, of = self._obstacles.most_common(3), sum(self._obstacles.values())
         starts = ", ".join(f"{why}{by.get(why, '')} ({n} of {of} starts)" for why, n in rows)
         if (near := self._nearest) is None:
             return f"the arm can use none of the possible lines: {starts}"
@@ -331,9 +322,9 @@ class _Guide:
         finds none, it yields the first of the other lines on which a run can start.
         """
         mount = self._model.p_base()
-        tops = _tops(self.body, float(mount[2]) + _OVER_MOUNT)
+        tops = _tops(self.body, float(mount[2]) + 0.4)
         heights = [round(share * top + over, 3) for share, over in _HEIGHTS for top in tops]
-        last = [round(top + _JUST_OVER, 3) for top in tops]
+        last = [round(top + 0.025, 3) for top in tops]
         outs = np.arange(_FARTHEST, self._d_b + _OUTSIDE, -_NEARER).round(3).tolist()
         starts = list((_front if name == "guiding-front" else _lateral)(self.body, mount, outs))
         tried = [*product(starts, heights), *product(starts, last)]
@@ -350,7 +341,7 @@ class _Guide:
         for k, (line, quick) in enumerate(steps):
             if self._nearest and line.nearest >= INNER * self._d_b:
                 return
-            known = any(np.linalg.norm(line.end - other.end) < _OTHER for other in done)
+            known = any(np.linalg.norm(line.end - other.end) < 0.1 for other in done)
             if known or (not quick and complete == _MAX_COMPLETE):
                 continue
             on_progress((1 + k / len(steps)) / 2)
@@ -420,7 +411,7 @@ class _Guide:
             search.place(q_m)
             J = search.J_ee[:3]
             off, W = p - search.state.T_world_ee.translation, J / D
-            q_m = q_m + W.T @ np.linalg.solve(J @ W.T + _SINGULAR * np.eye(3), off)
+            q_m = q_m + W.T @ np.linalg.solve(J @ W.T + 1e-9 * np.eye(3), off)
             q_m = np.clip(q_m, search.model.q_lower, search.model.q_upper)
         search.place(q_m)
         return q_m
@@ -431,12 +422,12 @@ class _Guide:
         self._short = min(self._short, float(away.min()))
         flaw = OUT_OF_REACH if away.min() > _NEAR else str(self._flaws[away.argmin()])
         away[self._flaws != ""] = np.inf
-        for k in np.argsort(away)[: _TRIES if away.min() <= _NEAR else 0]:
+        for k in np.argsort(away)[: 6 if away.min() <= _NEAR else 0]:
             q_m = self._postures[k]
-            for share in _SHARES:
+            for share in np.linspace(0.1, 1.0, 10):
                 q_m = self._pulled(q_m, self._places[k] + share * (p - self._places[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
-            flaw = self._search.flaw() if off < _THERE else OUT_OF_REACH
+            flaw = self._search.flaw() if off < 1e-3 else OUT_OF_REACH
             if not flaw:
                 return q_m
         self._obstacles[flaw] += 1

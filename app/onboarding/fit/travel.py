@@ -11,8 +11,6 @@ from app.onboarding.read.tree import MOVING, Joint, Tree, extends
 Positions = Mapping[str, float]  # [rad or m] by the names of the joints
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles in a range of up to 25 rad
-_MOST_TURN = 1e3  # [rad] range above which a joint counts as one without limits
-_MOST = 144  # [-] largest number of steps
 
 
 def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, LinkGeometry]:
@@ -106,9 +104,9 @@ def _range(joint: Joint) -> list[float]:
     Without a range, a prismatic joint stays at zero, and another joint makes a whole turn.
     """
     low, high, slides = joint.lower, joint.upper, joint.kind == "prismatic"
-    if low is None or high is None or low >= high or (high - low > _MOST_TURN and not slides):
+    if low is None or high is None or low >= high or (high - low > 1e3 and not slides):
         low, high = (0.0, 0.0) if slides else (-np.pi, np.pi)
-    count = 1 if slides else min(int(np.ceil((high - low) / _STEP)), _MOST)
+    count = 1 if slides else min(int(np.ceil((high - low) / _STEP)), 144)
     return np.linspace(low, high, count + 1).tolist()
 
 
