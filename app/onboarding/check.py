@@ -37,17 +37,12 @@ _log = logging.getLogger(__name__)
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
 _FASTEST = 20.0  # [rad/s or m/s] largest plausible speed of a joint
-_STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m], [N] largest plausible effort of a joint
 _LAYER = 0.05  # [m] height of a layer of the border
 _TOUCHED = {
     "in_contact": "arm and base",
     "arm_in_contact": "the arm and itself",
     "floor_contact": "the arm and the floor",
 }
-_HELD = (
-    ", because the arm cannot hold its end-effector in place and avoids the base by "
-    "itself; with a smaller ee_hold.weight the base moves more"
-)
 
 
 class Row(NamedTuple):
@@ -175,7 +170,7 @@ def limits_row(model: RobotModel) -> Row:
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
-    strongest = np.array([_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units])
+    strongest = np.array([20_000.0 if unit == "m" else 2000.0 for unit in model.joint_units])
     wrong = [
         f"{names[k]} has {model.qd_max[k]:g} rad/s (or m/s) and {efforts[k]:g} N m (or N), above "
         f"the plausible {_FASTEST:g} and {strongest[k]:g}"
@@ -418,6 +413,11 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     outcome: Outcome = "warned" if warning else "passed"
     if moved < (least := GIVES_WAY * config.border.d_b):
         held = bool(warn.holding_warning(warn.carried_ee(model)))
-        text += f"; the base moves away by less than {least:.3f} m{_HELD if held else ''}"
+        text += f"; the base moves away by less than {least:.3f} m"
+        if held:
+            text += (
+                ", because the arm cannot hold its end-effector in place and avoids the base by "
+            )
+            text += "itself; with a smaller ee_hold.weight the base moves more"
         outcome = "warned" if held else "failed"
     return Row(name, outcome, f"{text}; {warning}" if warning else text, numbers)

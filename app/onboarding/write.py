@@ -157,17 +157,15 @@ def shape_content(shape: Shape) -> dict[str, Any]:
     return {k: v for k, v in shape.model_dump().items() if k != "rpy_rad" or any(v)}
 
 
-_HEADER = (
-    "Made by `dbb new-robot`. Lengths in metres, angles in radians, masses in kilograms.",
-    "Each number is measured, from the URDF, from an option, chosen, fitted, counted or assumed; "
-    "check the assumed numbers.",
-)
-
-
 def description_text(content: Mapping[str, Any], title: str) -> str:
     """The text of `robot.toml` without empty entries; comments have the sources of the numbers."""
     document = tomlkit.document()
-    for line in (title, *_HEADER):
+    for line in (
+        title,
+        "Made by `dbb new-robot`. Lengths in metres, angles in radians, masses in kilograms.",
+        "Each number is measured, from the URDF, from an option, chosen, fitted, counted or "
+        "assumed; check the assumed numbers.",
+    ):
         document.add(tomlkit.comment(line))
     document.add(tomlkit.nl())
     filled = [each for each in content.items() if each[1]]

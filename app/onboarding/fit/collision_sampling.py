@@ -40,7 +40,6 @@ LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited jo
 GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
 _RARE = 30  # [-] number of colliding random postures of a pair below which more are searched
 ENOUGH = 600  # [-] number of colliding postures for shares with an accuracy of 0.5 %
-_MORE, _MAX_POSTURES = 1000, 40_000  # [-] postures that are sampled at a time, and in total
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
 _NEAREST, _TRIES = 20, 10  # [-] postures that are varied at a time, and variations of each posture
 _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] standard deviations, relative to a joint's range
@@ -142,7 +141,7 @@ def sample_meetings(
     pairs = tuple((a.index, b.index) for a, b in distant)
     q_m, distances = np.zeros((0, model.n_m)), np.zeros((0, len(pairs)))
     while True:
-        more = sample_joints(model, _MORE if len(q_m) else samples, rng)
+        more = sample_joints(model, 1000 if len(q_m) else samples, rng)
         q_m = np.vstack([q_m, more])
         parts = [(model, units, pairs, part) for part in np.array_split(more, 4)]
         distances = np.vstack([distances, *workers.map(_look, parts)])
@@ -150,7 +149,7 @@ def sample_meetings(
         random = Postures(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
         found = Meetings(units, pairs, close, apart, random, random)
         hits = np.count_nonzero(random.possible & found.collides.any(axis=1))
-        if hits >= enough or len(q_m) >= _MAX_POSTURES:
+        if hits >= enough or len(q_m) >= 40_000:
             break
     rare_q = _rare_postures(model, found, seed)
     gaps = hull_distances(model, units, pairs, rare_q)

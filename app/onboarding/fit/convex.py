@@ -14,7 +14,6 @@ from app.robot.shapes import Box, Capsule, Hull, Shape, shape_mesh
 from app.strict import Array
 
 _UNIT = 1e-4  # [m] resolution of sizes, which are rounded up
-_SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a coordinate, [-] factor of the volume
 _THINNEST = 0.002  # [m] smallest side of a box
 
 
@@ -112,8 +111,8 @@ def fit_capsule(points: Array) -> Capsule:
     # A coordinate that is small at both ends becomes zero if this adds little volume: distances
     # have simple formulas if the axis of the capsule meets that of a joint.
     ends = np.array([found.start_m, found.end_m])
-    snapped = _capsule(points, np.where((np.abs(ends) < _SNAP).all(axis=0), 0.0, ends))
-    return snapped if volume_of(snapped) < _SNAP_COST * volume_of(found) else found
+    snapped = _capsule(points, np.where((np.abs(ends) < 0.005).all(axis=0), 0.0, ends))
+    return snapped if volume_of(snapped) < 1.05 * volume_of(found) else found
 
 
 def fit_box(points: Array) -> Box:
@@ -194,7 +193,7 @@ def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     some = mesh.faces[:: 1 + len(mesh.faces) // 2000]
     best, found = np.inf, None
     for normal, low, high in zip(np.eye(3), *mesh.bounds, strict=True):
-        for at in np.outer(np.linspace(low, high, 7 + 2)[1:-1], normal):
+        for at in np.outer(np.linspace(low, high, 9)[1:-1], normal):
             planes = [(normal, at), (-normal, at)]
             sides = [slice_faces_plane(mesh.vertices, some, *plane)[0] for plane in planes]
             volume = sum(hull(vertices).volume for vertices in sides)

@@ -163,7 +163,7 @@ def _arm_grouping(
     verdict = chosen and chosen.verdict
     good = verdict and not (verdict.always or verdict.spurious or verdict.missed > _MISSED)
     if count is None and not good:
-        chosen = best(chosen, *(k for k in range(2, 6 + 1) if k <= len(units)))
+        chosen = best(chosen, *(k for k in range(2, 7) if k <= len(units)))
     if chosen is None:
         shaped = [unit for unit in units if meetings.units[unit].parts]
         least = 1 + (1 in shaped and bool(slides))  # see `_ranked`
@@ -209,7 +209,7 @@ def judge(
         + 2.0 * false
         + _BODY_COST * len(bodies)
         + 0.25 * len(spurious)
-        + 1.0 * len(always)
+        + len(always)
         + 0.05 * len(unwatched)
     )
     return Verdict(missed, false, overlap, spurious, always, unwatched, near, cost)

@@ -32,7 +32,6 @@ RULE = (
     "their middle"
 )
 _SAMPLES = 6000  # [-] number of random postures
-_KEPT = 0.1  # [-] margin to both limits, relative to a joint's range
 _ENOUGH = 0.15  # [m] distance beyond the buffer above which more has no advantage
 
 
@@ -49,7 +48,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
     search = _search(model, pairs)
     span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready posture exceeds one turn
     random = np.random.default_rng(seed).random((_SAMPLES, model.n_m))
-    postures = search.middle + (random - 0.5) * (1 - 2 * _KEPT) * span
+    postures = search.middle + (random - 0.5) * 0.8 * span
 
     def manipulability_of(q_m: Array) -> float:
         search.place(q_m)  # with fewer than 6 joints, only the position counts
@@ -117,11 +116,6 @@ _HEIGHTS = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0
 _SAME_TOP = 0.1  # [m] difference below which the tops of two parts count as equal
 _NEAR = 0.15  # [m] largest distance of a position from the end-effector in a known posture
 _FEW = 2  # [-] number of tries of a quick search
-_FLOOR_ON_LINE = f"the arm would be nearer than {_LOWEST:g} m to the floor on the line"
-_NOT_SMALLER = (
-    "with these joint limits a smaller --buffer-distance probably does not help; a mount nearer to "
-    "this side may help (--mount-xyz of an --arm-urdf)"
-)
 
 
 class Place(NamedTuple):
@@ -164,10 +158,14 @@ def find_place(
     hundredths = range(round(100 * parameter("border.d_b").low), round(100 * d_b))
     smaller = [k / 100 for k in reversed(hundredths)]
     advice = [f"--buffer-distance {each:g} can give a line" for each in smaller]
+    advice.append(
+        "with these joint limits a smaller --buffer-distance probably does not help; a mount "
+        "nearer to this side may help (--mount-xyz of an --arm-urdf)"
+    )
     k = bisect_left(
         smaller, True, key=lambda d_b: bool(chosen(_Guide(model, pairs, d_b).lines(name), d_b))
     )
-    return f"{guide.obstacles}; {[*advice, _NOT_SMALLER][k]}"
+    return f"{guide.obstacles}; {advice[k]}"
 
 
 def chosen(
@@ -357,7 +355,13 @@ class _Guide:
                 continue
             if (led := self._led(q_m, p, line.inwards, line.out, [line.left])) is None:
                 continue
-            place = Place(p, line.move, led.nearest, _LED.format(line.left, led.nearest))
+            source = (
+                "chosen: of the lines with a start outside of the buffers, the line to contact on "
+                "which the arm holds its end-effector best, or the line to the smallest distance "
+                f"if none leads to contact; it ends {line.left:g} m beside the base; without "
+                f"avoidance the smallest distance is {led.nearest:.3f} m"
+            )
+            place = Place(p, line.move, led.nearest, source)
             if self._nearest is None or place.nearest < self._nearest.nearest:
                 self._nearest = place
             yield place
@@ -394,7 +398,8 @@ class _Guide:
                     lost = uncompensated_base_jacobian(J_ee, model.qd_max, model.J_m_inv, speed)
                     carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
             if low < _LOWEST:
-                self._obstacles[_FLOOR_ON_LINE] += 1
+                why = f"the arm would be nearer than {_LOWEST:g} m to the floor on the line"
+                self._obstacles[why] += 1
                 return None
             begin = end
             if least <= 0.0:
@@ -432,13 +437,6 @@ class _Guide:
                 return q_m
         self._obstacles[flaw] += 1
         return None
-
-
-_LED = (
-    "chosen: of the lines with a start outside of the buffers, the line to contact on which the "
-    "arm holds its end-effector best, or the line to the smallest distance if none leads to "
-    "contact; it ends {:g} m beside the base; without avoidance the smallest distance is {:.3f} m"
-)
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
