@@ -164,9 +164,7 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check that speed and torque limits are plausible and each joint moves an inertia; warn if a
-    torque limit is too small for gravity.
-    """
+    """Check limits of speed and torque, and inertias; warn if gravity exceeds a torque limit."""
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
@@ -192,9 +190,7 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Warn of nested links that touch in no random posture, or in few and overlap by more than 3 mm
-    in one of them: plants ignore all their contacts.
-    """
+    """Warn of nested links that never touch, or that touch seldom and overlap by over 3 mm."""
     touches = nested_touches(model, _geometry(model))
     least = min(share for share, _ in touches.values())
     text = f"each pair of nested links touches in at least {least:.0%} of random postures"
@@ -223,9 +219,7 @@ def base_row(model: RobotModel) -> Row:
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Check that a pair of bodies detects each collision of links in random postures, and that the
-    bodies of colliding links overlap; warn if no pair can monitor many of the contacts.
-    """
+    """Check that bodies detect the collisions of links; warn of contacts that no pair monitors."""
     found = detection_of(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.postures),
@@ -294,9 +288,7 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that each body in a pair with l_m has a reachability; warn if no pair has l_m, or if a
-    pair is inside its buffer in most postures without contact.
-    """
+    """Check that bodies that meet l_m have a reachability; warn of pairs mostly in their buffer."""
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no monitored part of the arm can meet the base", {})
@@ -332,11 +324,10 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that the border of each pair with l_m has points at the heights that the arm reaches,
-    from the floor to the top of l_m; it fails if all borders are empty.
+    """Check that borders have points at the heights, up to the top of l_m, that the arm reaches.
 
-    A gap between the lowest and the highest point of a border, or no pair with l_m, causes a
-    warning. Below and above these points, the exact offset of l_m replaces missing points.
+    A gap between the lowest and the highest point of a border causes a warning. Below and above
+    these points, the exact offset of l_m replaces missing points.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -371,11 +362,7 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """Guide the end-effector towards the base, and compare with a run without avoidance.
 
-    The outcome is the first of these that applies: `warned` if the run cannot start; `failed` after
-    a contact, an unsolved QP, or a distance of arm and base below 0.03 m; "nothing to show" if no
-    pair has l_m, or the arm without avoidance stays d_b/2 or more away; if the base moves by less
-    than d_b/3, `warned` if `holding_row` warns, `failed` otherwise; `warned` if d_b is too small
-    for the speed of the run; `passed`.
+    The section *Guiding runs* of docs/other_robots.md has the condition of each outcome.
     """
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario

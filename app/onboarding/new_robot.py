@@ -244,8 +244,7 @@ def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
     Without --bodies, the third fit has one body more than the larger of the first two, if the arm
-    has enough moving units with shapes. `found` has the numbers of bodies, including l_m, of the
-    earlier fits.
+    has enough moving units with shapes. `found` has the numbers of earlier fits, with l_m.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies

@@ -200,8 +200,7 @@ def _within(value: float | None, most: float) -> float:
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
     """The inertias of all links; a large assumed total mass of the base's links is reduced.
 
-    `BASE_DENSITY` is that of small bases, and large bases are hollow. So above `_COMPACT`, the
-    assumed total mass grows only with the power 2/3 of the volume, like the surface.
+    Large bases are hollow: above `_COMPACT`, the mass grows with the power 2/3 of the volume.
     """
     if (total := assumed_mass(inertias, base_links)) <= _COMPACT:
         return inertias
@@ -317,9 +316,8 @@ class Reach(NamedTuple):
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
     """The names of all bodies that can form a pair with l_m, with their coefficients of (9).
 
-    `workers` start at once, so the caller can do other work before it reads the results. For the
-    fit see `best_fit`. Coefficients are assumed if it raises an error, or if fewer than three
-    joints move the body.
+    `workers` start at once, before the results are read. Coefficients are those of `best_fit`, or
+    assumed if `best_fit` raises an error, or if fewer than three joints move the body.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -346,8 +344,8 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
     """The fit of (9) above the first of `SHARES` with a positive R², and this share [-].
 
-    In a small workspace, few spherical shells are above the first share, and their reachabilities
-    can be almost equal. With R² ≤ 0, a constant fits better than (9).
+    In a small workspace, the reachabilities above the first share can be almost equal. With R² ≤ 0,
+    a constant fits better than (9).
 
     Raises:
         DescriptionError: (9) does not fit with a positive R² above any share.

@@ -420,9 +420,7 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def push_warning(model: RobotModel, borne: Array) -> str:
-    """A warning if a person is stronger than `borne`, the result of `borne_push`, in over a quarter
-    of the postures; an empty text otherwise.
-    """
+    """A warning if a person is stronger than `borne_push` in over 25 % of the postures, or ""."""
     person = model.description.config.hand.f_max
     if not len(borne) or (weak := float((borne < person).mean())) <= _OFTEN:
         return ""

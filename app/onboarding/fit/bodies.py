@@ -1,7 +1,4 @@
-"""Bodies around groups of links: small convex shapes around the points that other links can reach.
-
-A body encloses one or more units, which are groups of links that move as one rigid body.
-"""
+"""Bodies around units of links: small convex shapes around the points that other units reach."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
@@ -65,9 +62,8 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
-    """Divisions of parts into one group, two, and so on up to four; the hull represents a group.
-
-    A division becomes the next smaller one by the merger of two groups that adds the least volume.
+    """Divisions of parts into one to four groups, each with the hulls of its groups. The merger of
+    two groups that adds the least volume makes a division with one group less.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
@@ -148,8 +144,7 @@ class ArmFitter:
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int] | None:
         """The smallest fit of one or more shapes in a joint's frame, and the joint's number.
-
-        None if `masks` select no points of the units, or if these points sweep less than `_SPOT`.
+        None if `masks` select no points of the units, or points that sweep less than `_SPOT`.
         """
         pieces = [
             (unit.joint, part)
@@ -186,10 +181,8 @@ class ArmFitter:
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
-    """The points of the link `owner` in `mask`, in groups (N, 3) [m] distant from one another.
-
-    The distance of two groups exceeds `_APART`, and twice the largest distance from a point of the
-    link's surface to its nearest neighbour.
+    """The points of the link `owner` in `mask`, in groups (N, 3) [m]. Two groups are farther
+    apart than `_APART`, and than twice the largest distance of neighbours on the link's surface.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
     if len(points) < 2:
@@ -204,8 +197,7 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to 
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, PointHull]:
-    """For each joint of a chain: the hull, in the joint's frame, of all points of the chain at all
-    positions of the joints.
+    """For each joint: the hull, in its frame, of the chain's points at all positions of the joints.
 
     `points` (N, 3) [m] are in the frame of each joint, by its number; the numbers are consecutive.
     """

@@ -101,11 +101,8 @@ class Meetings:
         return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
 
     def monitored_from(self, pair: tuple[int, int]) -> float:
-        """A d_b [m] with which a pair can monitor two units, or 0 if none is valid.
-
-        The units are outside of the buffer in the share `ALWAYS` of the free postures, although
-        1 − `ALWAYS` would be sufficient for the links: their bodies are larger.
-        """
+        """The d_b [m] beyond which two units are in 60 % of the free postures; 0 if it is invalid."""
+        # The share 1 − `ALWAYS` would be sufficient for the links, but their bodies are larger.
         distances = self.random.distances
         gaps = distances[_free_postures(distances), self.pairs.index(pair)]
         wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
@@ -373,10 +370,9 @@ def contact_margin(distances: Array) -> float:
 
 
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
-    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
-
-    It is `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that
-    no valid value of `border.d_b` makes detectable are ignored.
+    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents:
+    `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that no
+    valid value of `border.d_b` makes detectable are ignored.
     """
     least, why = d_b, ""
     for u, v in sorted(meetings.close & meetings.apart):

@@ -49,10 +49,7 @@ class Fit(NamedTuple):
 
 
 def fit_best(around: PointHull, weights: dict[str, float]) -> Fit:
-    """The shape with the smallest weighted volume around a hull.
-
-    `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull.
-    """
+    """The capsule, box or hull around a hull with the smallest volume times its weight [-]."""
     corners, inner = around
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
     shapes = {kind: kinds[kind](corners) for kind in weights}
@@ -186,10 +183,7 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 
 def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The halves of a mesh with the smallest sum of hull volumes; none if no plane cuts the mesh.
-
-    The tried planes are normal to the axes. The search uses only some triangles of a large mesh.
-    """
+    """The halves of a mesh, cut across an axis, with the smallest sum of hull volumes; or none."""
     some = mesh.faces[:: 1 + len(mesh.faces) // 2000]
     best, found = np.inf, None
     for normal, low, high in zip(np.eye(3), *mesh.bounds, strict=True):

@@ -321,9 +321,7 @@ def detection_of(
 
 
 def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[tuple[int, int]]:
-    """Pairs of units whose bodies are a monitored pair, if none of their links are nested: plants
-    count each of their contacts.
-    """
+    """Units of a monitored pair of bodies, without nested links: plants count their contacts."""
     nested = model.description.nested
     return [
         (u.index, v.index)

@@ -100,7 +100,6 @@ def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Po
 
 def _range(joint: Joint) -> list[float]:
     """Both ends of the range of a prismatic joint, or angles in equal steps over another range.
-
     Without a range, a prismatic joint stays at zero, and another joint makes a whole turn.
     """
     low, high, slides = joint.lower, joint.upper, joint.kind == "prismatic"

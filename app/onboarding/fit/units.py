@@ -68,10 +68,8 @@ def make_units(model: RobotModel, arm: Arm, geometry: Geometry) -> tuple[Unit, .
 
 
 def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit]]:
-    """Units of the links of each body of a description, by the name of the body.
-
-    Each body has one unit for each joint that moves some of its links. The units are numbered
-    consecutively.
+    """The units of each body of a description, by its name: one for each joint that moves some of
+    its links. The units are numbered consecutively.
     """
     covered = [(body, link) for body in model.description.bodies for link in body.covers]
     joint = {k: model.pin.frames[model.pin.getFrameId(k)].parentJoint for _, k in covered}
@@ -124,10 +122,8 @@ def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
 
 
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
-    """Whether contacts of two units are allowed by design.
-
-    This is so if the units are on the same joint, if only parallel prismatic joints separate them,
-    or if one joint separates them and neither of them is `beside`.
+    """Whether contacts of two units are allowed by design: if they are on the same joint, if only
+    parallel prismatic joints separate them, or if one joint does and neither of them is `beside`.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
