@@ -137,11 +137,11 @@ def _reach(robot: NewRobot) -> Grid:
 
 
 def _numbers(robot: NewRobot) -> Grid:
-    rows = []
-    for part in ("base", "arm"):
-        record = robot.content[part]
-        for key, source in record["source"].items():
-            rows.append((part, key, _text(record[key]), source))
+    rows = [
+        (part, key, _text(robot.content[part][key]), source)
+        for part in ("base", "arm")
+        for key, source in robot.content[part]["source"].items()
+    ]
     for name, place in robot.places.items():
         line = f"{_text(place.start)}; {_text(place.move)}"
         rows.append((name, "start_m, move_m", line, place.source))
@@ -164,10 +164,9 @@ _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     """PNG of the links' hulls and the bodies in the ready posture, from three sides."""
-    model = robot.model
-    hulls = _hulls(robot, placements(model, robot.ready.q_m), bare)
-    bodies = model.placed_meshes(_ORIGIN, robot.ready.q_m)
-    colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
+    hulls = _hulls(robot, placements(robot.model, robot.ready.q_m), bare)
+    bodies = robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)
+    colours = dict(zip(robot.model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
         spans = np.ptp(np.vstack([corners for corners, _ in hulls]), axis=0)
@@ -281,12 +280,10 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
 
 def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]) -> str:
     """A page with a 3D view of the links and bodies, in the poses `placed` of the joint frames."""
-    hulls = _hulls(robot, placed, bare)
+    hulls, bodies = _hulls(robot, placed, bare), robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)
     links = [(trimesh.convex.convex_hull(points), colour, 1.0) for points, colour in hulls]
-    meshes = robot.model.placed_meshes(_ORIGIN, robot.ready.q_m)
-    bodies = [(mesh, "#0072B2", 0.3) for _, mesh in meshes]
     scene = trimesh.Scene()
-    for mesh, colour, alpha in (*links, *bodies):
+    for mesh, colour, alpha in (*links, *((mesh, "#0072B2", 0.3) for _, mesh in bodies)):
         material = trimesh.visual.material.PBRMaterial(
             baseColorFactor=[*bytes.fromhex(colour[1:]), int(255 * alpha)],
             alphaMode="BLEND" if alpha < 1 else "OPAQUE",

@@ -230,14 +230,13 @@ def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Arra
         along = np.outer(corners @ S[3:], S[3:])
         corners = along + (corners - along) * _SAGITTA
     clouds = []
-    for position in _positions(model, joint, turns):
+    low, high = model.q_lower[joint - 2], model.q_upper[joint - 2]
+    positions = np.linspace(
+        low, high, max(2, int(np.ceil((high - low) / _STEP)) + 1 if turns else 2)
+    )
+    if turns and high - low >= 2 * np.pi:
+        positions = np.arange(0.0, 2 * np.pi, _STEP)
+    for position in positions:
         motion = pin.SE3(pin.exp3(S[3:] * position), S[:3] * position)
         clouds.append(moved(corners, placement * motion if outwards else motion.inverse()))
     return lean_corners(np.vstack(clouds))
-
-
-def _positions(model: RobotModel, joint: int, turns: bool) -> Array:
-    low, high = model.q_lower[joint - 2], model.q_upper[joint - 2]
-    if turns and high - low >= 2 * np.pi:
-        return np.arange(0.0, 2 * np.pi, _STEP)
-    return np.linspace(low, high, max(2, int(np.ceil((high - low) / _STEP)) + 1) if turns else 2)

@@ -101,7 +101,7 @@ class Meetings:
         return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
 
     def monitored_from(self, pair: tuple[int, int]) -> float:
-        """The d_b [m] beyond which two units are in 60 % of the free postures; 0 if it is invalid."""
+        """The d_b [m] beyond which two units are in 60 % of the free postures; 0 if not valid."""
         # The share 1 − `ALWAYS` would be sufficient for the links, but their bodies are larger.
         distances = self.random.distances
         gaps = distances[_free_postures(distances), self.pairs.index(pair)]
@@ -328,10 +328,10 @@ def with_stops(
     """
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     stops = {}
-    for u, v in sorted(meetings.close & meetings.apart):
-        a, b = meetings.units[u], meetings.units[v]
-        if not meetings.touch_within((u, v), lower, upper):
+    for pair in sorted(meetings.close & meetings.apart):
+        if not meetings.touch_within(pair, lower, upper):
             continue
+        a, b = (meetings.units[k] for k in pair)
         postures = sample_joints(model, _OTHERS, np.random.default_rng(0)).clip(lower, upper)
         stopping, possible = [], False
         for joint in range(b.joint - 1):  # pinocchio's joint 2 is the first one of the arm
@@ -352,8 +352,8 @@ def with_stops(
         if stopping:
             *_, joint, low, high = max(stopping)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
-            name, detects = arm.joints[joint].name, meetings.detectable((u, v))
-            reason = f"{b.name} reaches {a.name}{detects}"
+            name = arm.joints[joint].name
+            reason = f"{b.name} reaches {a.name}{meetings.detectable(pair)}"
             stops[name] = f"{stops[name]}, and {reason}" if name in stops else reason
         elif possible:
             raise RobotFileError(
@@ -363,9 +363,7 @@ def with_stops(
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] distance up to which two links with `distances` (N,) [m] in postures count as in contact:
-    `MARGIN`, or half of the largest of `distances` if that is less, as for adjacent links.
-    """
+    """[m] limit of contacts, for distances (N,) [m]: `MARGIN`, but less for adjacent links."""
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 
 
@@ -375,10 +373,10 @@ def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[flo
     valid value of `border.d_b` makes detectable are ignored.
     """
     least, why = d_b, ""
-    for u, v in sorted(meetings.close & meetings.apart):
-        wanted = meetings.monitored_from((u, v))
-        met = meetings.touch_within((u, v), np.array(limits.lower), np.array(limits.upper))
-        if met and 0.0 < wanted < least:
-            a, b = (meetings.units[k].name for k in (u, v))
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    for pair in sorted(meetings.close & meetings.apart):
+        wanted = meetings.monitored_from(pair)
+        if meetings.touch_within(pair, lower, upper) and 0.0 < wanted < least:
+            a, b = (meetings.units[k].name for k in pair)
             least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most postures"
     return least, why

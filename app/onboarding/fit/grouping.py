@@ -117,10 +117,8 @@ def find_grouping(
 def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
     """Whether monitored pairs overlap in 99.9 % of the postures in which a unit meets another."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
-    q_m = [
-        postures.q_m[np.any(postures.distances[:, own] <= 0.0, axis=1) & postures.possible]
-        for postures in (meetings.random, meetings.rare)
-    ]
+    both = meetings.random, meetings.rare
+    q_m = [q[np.any(gaps[:, own] <= 0.0, axis=1) & possible] for q, gaps, possible in both]
     names, distances = _body_distances(model, grouping.bodies, np.vstack(q_m))
     watched = [name not in grouping.verdict.unwatched for name in names]
     return _share(np.all(distances[:, watched] > 0.0, axis=1)) <= _MISSED
@@ -383,11 +381,11 @@ def _body_distances(
 ) -> tuple[list[str], Array]:
     """Names of all pairs of bodies that are not neighbours, and their distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
-    shapes = []
-    for body in bodies:
-        joint = model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint
-        placed = [(joint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
-        shapes.append(placed)
+    frames = [model.pin.frames[model.pin.getFrameId(body.frame)] for body in bodies]
+    shapes = [
+        [(frame.parentJoint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
+        for frame, body in zip(frames, bodies, strict=True)
+    ]
     names = [f"{bodies[i].name}-{bodies[j].name}" for i, j in pairs]
     return names, shape_distances(model, shapes, pairs, q_m)
 

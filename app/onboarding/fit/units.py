@@ -165,7 +165,12 @@ def shape_distances(
         return found
     placed, data = pin.GeometryData(geometry), model.pin.createData()
     results = [placed.distanceResults[k] for k in range(len(shapes))]
-    joints, centres, radii = _spheres(geometry)
+    spheres = []  # bounding spheres: joint, centre in its frame, radius
+    for shape in geometry.geometryObjects:
+        shape.geometry.computeLocalAABB()
+        centre = shape.placement.act(shape.geometry.aabb_center)
+        spheres.append((shape.parentJoint, centre, shape.geometry.aabb_radius))
+    joints, centres, radii = map(np.array, zip(*spheres, strict=True))
     first, second = np.array(shapes).T
     ends = [*starts[1:], len(shapes)]
     for row, posture in zip(found, q_m, strict=True):
@@ -217,17 +222,6 @@ def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
     made.addTriangles(np.asarray(mesh.faces, dtype=np.int64))
     made.endModel()
     return made
-
-
-def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
-    """Spheres around shapes: joints (K,), centres (K, 3) [m] in joint frames, radii (K,) [m]."""
-    centres, radii = [], []
-    for shape in geometry.geometryObjects:
-        shape.geometry.computeLocalAABB()
-        centres.append(shape.placement.act(shape.geometry.aabb_center))
-        radii.append(shape.geometry.aabb_radius)
-    joints = np.array([shape.parentJoint for shape in geometry.geometryObjects])
-    return joints, np.array(centres), np.array(radii)
 
 
 def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
