@@ -14,7 +14,7 @@ from app.border.cache import BorderData
 from app.border.sampling import SamplingConfig
 from app.jobs.progress import OnProgress
 from app.onboarding import new_robot, numbers
-from app.onboarding.fit import bodies, collision_sampling, grouping, postures
+from app.onboarding.fit import bodies, grouping, meetings, postures
 from app.onboarding.fit.postures import Place
 from app.robot import assets
 from app.robot.model import RobotModel
@@ -155,7 +155,7 @@ def line_without_a_run(
 
 def few_postures(patch: pytest.MonkeyPatch) -> None:
     """Let bodies be fitted and judged with a third of the product's postures or less."""
-    patch.setattr(collision_sampling, "_TRIES", 4)
+    patch.setattr(meetings, "_TRIES", 4)
     patch.setattr(grouping, "TEST_POSTURES", 1300)
     for module in (new_robot, grouping, bodies):
         patch.setattr(module, "ENOUGH", 200)

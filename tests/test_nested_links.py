@@ -18,7 +18,7 @@ from trimesh.creation import box
 
 from app.onboarding.check import arm_row, check_robot, nested_row
 from app.onboarding.fit import grouping
-from app.onboarding.fit.collision_sampling import Meetings, nested_links, sample_meetings
+from app.onboarding.fit.meetings import Meetings, nested_links, sample_meetings
 from app.onboarding.fit.units import make_units
 from app.onboarding.new_robot import parse
 from app.onboarding.request import Request

@@ -40,9 +40,11 @@ from app.onboarding.check import (
     ready_row,
     run_row,
 )
-from app.onboarding.fit import collision_sampling, grouping, postures
+from app.onboarding.fit import grouping, postures
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.fit.collision_sampling import (
+from app.onboarding.fit.convex import Fit
+from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
+from app.onboarding.fit.meetings import (
     Meetings,
     Postures,
     _close_pairs,
@@ -50,8 +52,6 @@ from app.onboarding.fit.collision_sampling import (
     watching_buffer,
     with_stops,
 )
-from app.onboarding.fit.convex import Fit
-from app.onboarding.fit.grouping import Grouping, detection_of, find_grouping
 from app.onboarding.fit.postures import Place, Point
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import finish, parse
@@ -304,7 +304,7 @@ def test_collision_is_undetected_if_no_watched_pair_of_bodies_overlaps(
 
 def test_rare_collisions_are_sampled_with_more_postures(made: NewRobot) -> None:
     """A Stretch has only 114 collisions in 6,000 postures: too few for the undetected share."""
-    units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "stopped": True}
+    units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "counted": ()}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
     hits = (few.collides.any(axis=1) & few.random.possible).sum()
@@ -353,7 +353,7 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
     model, geometry = written(made), made.parsed.geometry
     units = tuple(u for each in units_of_links(model, geometry).values() for u in each)
     base, hand = units[0], units[-1]
-    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, stopped=True)
+    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, counted=())
     posture = met.random.q_m
     hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
     meshes = meshes_meet(model, base, hand, geometry, posture)
@@ -814,9 +814,8 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         "--buffer-distance 0.13"
     )
     assert why in limits.numbers["position_upper"][1]
-    monkeypatch.setattr(
-        collision_sampling, "MARGIN", 1.0
-    )  # as for a UR's upper arm, 12 mm beside its foot
+    # As for a UR's upper arm, 12 mm beside its foot.
+    monkeypatch.setattr("app.onboarding.fit.meetings.MARGIN", 1.0)
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
     assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]
     bodies = [
@@ -836,7 +835,8 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
     with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
         with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
     assert watching_buffer(limits, meetings, 0.15) == (0.15, "")
-    monkeypatch.setattr(collision_sampling, "LEAST", 1.0)  # no limit may reduce a joint's range
+    # No limit may reduce a joint's range.
+    monkeypatch.setattr("app.onboarding.fit.meetings.LEAST", 1.0)
     for posture in (None, ready):
         assert with_stops(parsed.limits, bare, parsed.arm, meetings, posture) == parsed.limits
     smaller, why = watching_buffer(parsed.limits, meetings, 0.15)

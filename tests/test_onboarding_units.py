@@ -14,9 +14,9 @@ from app.border.reach import ReachMap, fit_reachability, lattice
 from app.errors import DescriptionError
 from app.onboarding.fit import units
 from app.onboarding.fit.bodies import ArmFitter
-from app.onboarding.fit.collision_sampling import Meetings, Postures, _grazing
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.grouping import _ranked
+from app.onboarding.fit.meetings import Meetings, Postures, _grazing
 from app.onboarding.fit.units import Part, Unit, neighbours, shape_distances, units_of_links
 from app.onboarding.numbers import SHARES, best_fit
 from app.onboarding.read.links import LinkGeometry, LinkShape

@@ -17,11 +17,11 @@ from app.border.mobile import MobileBody
 from app.border.sampling import SamplingConfig
 from app.errors import DbbError, UnreachableError
 from app.onboarding import SIDES, warn
-from app.onboarding.fit.collision_sampling import ALWAYS, GRAZE, NESTED, nested_touches
 from app.onboarding.fit.grouping import MAX_UNDETECTED, detection_of
+from app.onboarding.fit.meetings import ALWAYS, ENOUGH, GRAZE, NESTED
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.fit.travel import filled
-from app.onboarding.fit.units import units_of_links
+from app.onboarding.fit.units import link_distances, link_shapes, units_of_links
 from app.onboarding.numbers import gravity_load, largest_of_postures
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
@@ -191,7 +191,15 @@ def limits_row(model: RobotModel) -> Row:
 
 def nested_row(model: RobotModel) -> Row:
     """Warn of nested links that never touch, or that touch seldom and overlap by over 3 mm."""
-    touches = nested_touches(model, _geometry(model))
+    by_body = units_of_links(model, _geometry(model))
+    shapes = link_shapes([unit for units in by_body.values() for unit in units])
+    named = sorted((min(pair), max(pair)) for pair in model.description.nested)
+    shaped = [pair for pair in named if shapes.keys() >= {*pair}]
+    q_m = sample_joints(model, ENOUGH, np.random.default_rng(0))
+    gaps = link_distances(model, shapes, shaped, q_m)
+    shares, overlaps = (gaps <= 0.0).mean(axis=0).tolist(), (-gaps).max(axis=0).tolist()
+    touches = dict.fromkeys(named, (0.0, 0.0))  # also of a link without a shape
+    touches.update(zip(shaped, zip(shares, overlaps, strict=True), strict=True))
     least = min(share for share, _ in touches.values())
     text = f"each pair of nested links touches in at least {least:.0%} of random postures"
     seldom = ", ".join(

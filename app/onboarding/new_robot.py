@@ -16,20 +16,15 @@ from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import SIDES, numbers, warn, write
-from app.onboarding.fit.collision_sampling import (
-    ENOUGH,
-    sample_meetings,
-    watching_buffer,
-    with_stops,
-)
 from app.onboarding.fit.grouping import detection_of, find_grouping
+from app.onboarding.fit.meetings import ENOUGH, sample_meetings, watching_buffer, with_stops
 from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, line_from
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate
-from app.onboarding.read.tree import Arm, find_arm
+from app.onboarding.read.tree import find_arm
 from app.onboarding.read.wheels import find_drive, stands_on_floor, with_rigid_suspensions
 from app.onboarding.record import Fitted, NewRobot, Parsed
 from app.onboarding.request import Request
@@ -260,8 +255,17 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
         AssetError, UnknownNameError: As for `whole_robot`.
     """
     tree, arm, changes = whole or whole_robot(request)
-    limits = numbers.read_limits(arm)
-    _check_ready(request, arm, limits)
+    limits, ready = numbers.read_limits(arm), request.ready
+    if ready is not None and len(ready) != len(arm.joints):
+        raise RobotFileError(
+            f"--ready: it has {len(ready)} numbers, but the arm has {len(arm.joints)} joints: "
+            f"{', '.join(arm.names)}"
+        )
+    for name, q, low, high in zip(arm.names, ready or (), limits.lower, limits.upper, strict=False):
+        if not low <= q <= high:
+            raise RobotFileError(
+                f"--ready: {name} at {q:g} is outside of its limits, {low:g} to {high:g}"
+            )
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(
@@ -282,20 +286,3 @@ def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
     parsed, source = parse(request, whole), request.shown_source
     header = f"Made by dbb new-robot from {source}; its sources and licences: SOURCES.md"
     return parsed, write.rebased_urdf(parsed, name=request.name, header=header, home=folder)
-
-
-def _check_ready(request: Request, arm: Arm, limits: numbers.Limits) -> None:
-    """Refuse a ready posture with a wrong number of joints, or outside of the position limits."""
-    ready = request.ready
-    if ready is None:
-        return
-    if len(ready) != len(arm.joints):
-        raise RobotFileError(
-            f"--ready: it has {len(ready)} numbers, but the arm has {len(arm.joints)} joints: "
-            f"{', '.join(arm.names)}"
-        )
-    for name, q, low, high in zip(arm.names, ready, limits.lower, limits.upper, strict=True):
-        if not low <= q <= high:
-            raise RobotFileError(
-                f"--ready: {name} at {q:g} is outside of its limits, {low:g} to {high:g}"
-            )

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from app.onboarding.fit.bodies import FittedBody
-from app.onboarding.fit.collision_sampling import Meetings
 from app.onboarding.fit.grouping import Detection, Verdict
+from app.onboarding.fit.meetings import Meetings
 from app.onboarding.fit.postures import Place, Ready
 from app.onboarding.numbers import Limits, Reach
 from app.onboarding.read.links import Geometry, LinkInertia

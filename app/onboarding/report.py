@@ -9,7 +9,6 @@ import pinocchio as pin
 import trimesh
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy.spatial import ConvexHull
 from trimesh.viewer.notebook import scene_to_html
@@ -180,7 +179,11 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
             across, up = (f"{'xyz'[k]} [m]" for k in (x, y))
             axes.set(aspect="equal", adjustable="datalim", title=title, xlabel=across, ylabel=up)
             axes.locator_params(nbins=4)
-        _legend(figure, colours)
+        handles = [Patch(color=colour, alpha=0.5, label=name) for name, colour in colours.items()]
+        for kind, colour in COLOURS.items():
+            text = f"beyond their body by {kind}" if kind else "enclosed links"
+            handles.append(Patch(color=colour, label=text))
+        figure.legend(handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2))
         return png_of(figure)
 
 
@@ -249,14 +252,6 @@ def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -
     ring = flat[ConvexHull(flat, qhull_options="QJ").vertices]  # QJ: a plate can become a line
     style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}
     axes.add_collection(PolyCollection([ring], linewidth=1.0, **style))
-
-
-def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
-    handles = [Patch(color=colour, alpha=0.5, label=name) for name, colour in colours.items()]
-    for kind, colour in COLOURS.items():
-        text = f"beyond their body by {kind}" if kind else "enclosed links"
-        handles.append(Patch(color=colour, label=text))
-    figure.legend(handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2))
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:

@@ -14,8 +14,8 @@ from app.border.mobile import MobileBody
 from app.config import parameter
 from app.control.inputs import largest_command
 from app.control.limits import force_bound
-from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
+from app.onboarding.fit.meetings import ALWAYS
 from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved, placements
 from app.onboarding.numbers import grouped, read_limits

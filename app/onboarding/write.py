@@ -25,14 +25,8 @@ from app.onboarding import ROOT
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
-from app.onboarding.read.links import (
-    Geometry,
-    LinkGeometry,
-    LinkInertia,
-    in_pieces,
-    is_foreign,
-    load_mesh,
-)
+from app.onboarding.read import links
+from app.onboarding.read.links import Geometry, LinkGeometry, LinkInertia
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.tree import FREE, Joint
 from app.onboarding.record import NewRobot, Parsed
@@ -231,10 +225,10 @@ def mesh_name(address: str, home: Path | None) -> str:
     if home is None:
         return address
     home = home.resolve()
-    if is_foreign(path):
+    if links.is_foreign(path):
         target = _mesh_file(home, path.stem, str(path), ".stl")
         if not target.exists():
-            load_mesh(path).export(target)
+            links.load_mesh(path).export(target)
         path = target
     return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
 
@@ -258,7 +252,7 @@ def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geom
     tree, cut = ElementTree.fromstring(urdf, parser), dict(geometry)
     for link in tree.iterfind("link[collision]"):
         name = str(link.get("name"))
-        found = [in_pieces(shape) for shape in geometry[name].shapes]
+        found = [links.in_pieces(shape) for shape in geometry[name].shapes]
         cut[name] = geometry[name]._replace(shapes=tuple(chain(*found)))
         for k, (element, pieces) in enumerate(zip(link.findall("collision"), found, strict=True)):
             if len(pieces) > 1:

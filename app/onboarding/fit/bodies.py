@@ -11,8 +11,8 @@ from scipy.cluster.hierarchy import fclusterdata
 from scipy.spatial import cKDTree
 
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import ENOUGH, Meetings
 from app.onboarding.fit.convex import Fit, PointHull, fit_best, hull, lean_corners
+from app.onboarding.fit.meetings import ENOUGH, Meetings
 from app.onboarding.fit.units import Unit, hulls, moved, shape_distances
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import Hull

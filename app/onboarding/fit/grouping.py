@@ -17,20 +17,20 @@ from app.errors import RobotFileError
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.fit.collision_sampling import (
+from app.onboarding.fit.meetings import (
     ALWAYS,
     BUILT_IN,
     ENOUGH,
     LEAST,
     Meetings,
     contact_margin,
-    link_gaps,
     nested_links,
     sample_meetings,
 )
 from app.onboarding.fit.units import (
     Unit,
     hull_distances,
+    link_gaps,
     meshes_meet,
     shape_distances,
     units_of_links,
@@ -276,7 +276,6 @@ def detection_of(
         seed=2**31,
         d_b=d_b,
         enough=ENOUGH,
-        stopped=True,
         counted=_counted(model, by_body),
         workers=workers,
     )

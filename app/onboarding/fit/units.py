@@ -241,3 +241,20 @@ def hulls(unit: Unit) -> list[Placed]:
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
     """(N, pairs) [m] signed distances between the hulls of units in the postures q_m (N, n_m)."""
     return shape_distances(model, [hulls(unit) for unit in units], pairs, q_m)
+
+
+def link_gaps(
+    model: RobotModel, u: Unit, v: Unit, q_m: Array
+) -> tuple[list[tuple[str, str]], Array]:
+    """Pairs (link of u, link of v), and their distances (N, pairs) [m] in postures q_m (N, n_m)."""
+    pairs = [*product(link_shapes([u]), link_shapes([v]))]
+    return pairs, link_distances(model, link_shapes([u, v]), pairs, q_m)
+
+
+def link_distances(
+    model: RobotModel, shapes: dict[str, list[Placed]], pairs: Sequence[tuple[str, str]], q_m: Array
+) -> Array:
+    """(N, pairs) [m] distances between links, whose hulls are in `shapes` by their names."""
+    number = list(shapes).index
+    numbers = [(number(a), number(b)) for a, b in pairs]
+    return shape_distances(model, list(shapes.values()), numbers, q_m)

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, combinations, compress, product
+from itertools import chain, combinations, compress
 from typing import NamedTuple
 
 import numpy as np
@@ -13,18 +13,14 @@ from app.jobs.pool import ALONE, Workers
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.units import (
     Pairs,
-    Placed,
     Unit,
     hull_distances,
-    link_shapes,
+    link_gaps,
     moved,
     neighbours,
     placements,
-    shape_distances,
-    units_of_links,
 )
 from app.onboarding.numbers import Limits
-from app.onboarding.read.links import Geometry
 from app.onboarding.read.tree import Arm
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
@@ -122,16 +118,15 @@ def sample_meetings(
     seed: int,
     d_b: float,
     enough: int = 0,
-    stopped: bool = False,
-    counted: Collection[tuple[int, int]] = (),
+    counted: Collection[tuple[int, int]] | None = None,
     workers: Workers = ALONE,
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
     First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
-    them are `possible` and have a collision. `stopped` means that the joint limits already prevent
-    collisions of the pairs in `apart`: then these pairs are not in `close`, and `met` is empty.
-    Pairs in `counted` never count as `grazing`.
+    them are `possible` and have a collision. If `counted` is not None, the robot is complete: its
+    joint limits prevent collisions of the pairs in `apart`, so that these pairs are not in `close`;
+    nor are `grazing` pairs in `counted`. Then `met` is empty.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -142,7 +137,12 @@ def sample_meetings(
         q_m = np.vstack([q_m, more])
         parts = [(model, units, pairs, part) for part in np.array_split(more, 4)]
         distances = np.vstack([distances, *workers.map(_look, parts)])
-        close, apart, barred = _built_near(units, pairs, distances, d_b, stopped)
+        close, nested = _close_pairs(distances, pairs, d_b), _touch_mostly(distances)
+        deep = compress(pairs, (distances.min(axis=0) < -0.005) & ~nested)
+        apart = close.intersection(pair for pair in deep if units[pair[0]].joint == 1)
+        close = close if counted is None else close - apart
+        # The real robot cannot make a close pair touch, unless it is nested.
+        barred = [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
         random = Postures(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
         found = Meetings(units, pairs, close, apart, random, random)
         hits = np.count_nonzero(random.possible & found.collides.any(axis=1))
@@ -150,30 +150,15 @@ def sample_meetings(
             break
     rare_q = _rare_postures(model, found, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
-    graze = _grazing(units, pairs, distances, gaps).difference(counted)
+    graze = _grazing(units, pairs, distances, gaps).difference(counted or ())
     barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
     random, rare = (
         Postures(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
         for q_m, each in ((q_m, distances), (rare_q, gaps))
     )
     found = replace(found, close=close | graze, random=random, rare=rare)
-    jobs = [] if stopped else [(found, model, k) for k in range(len(pairs))]
+    jobs = [] if counted is not None else [(found, model, k) for k in range(len(pairs))]
     return replace(found, met=dict(chain.from_iterable(workers.map(_met, jobs))))
-
-
-def _built_near(
-    units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
-) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
-    """The fields `close` and `apart` of `Meetings` by distances (N, pairs) [m], and the indices of
-    the close pairs that are not nested: the real robot cannot make them touch.
-    """
-    close = _close_pairs(distances, pairs, d_b)
-    nested = _touch_mostly(distances)
-    deep = compress(pairs, (distances.min(axis=0) < -0.005) & ~nested)
-    apart = close.intersection(pair for pair in deep if units[pair[0]].joint == 1)
-    if stopped:
-        close -= apart
-    return close, apart, [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, *distances: Array) -> frozenset[tuple[int, int]]:
@@ -211,39 +196,6 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     if (u, v) not in found.nested and met.mean() < BUILT_IN:
         return []
     return [*compress(links, _touch_mostly(gaps[met]))]
-
-
-def link_gaps(
-    model: RobotModel, u: Unit, v: Unit, q_m: Array
-) -> tuple[list[tuple[str, str]], Array]:
-    """Pairs (link of u, link of v), and their distances (N, pairs) [m] in postures q_m (N, n_m)."""
-    pairs = [*product(link_shapes([u]), link_shapes([v]))]
-    return pairs, _link_distances(model, link_shapes([u, v]), pairs, q_m)
-
-
-def _link_distances(
-    model: RobotModel, shapes: dict[str, list[Placed]], pairs: Sequence[tuple[str, str]], q_m: Array
-) -> Array:
-    """(N, pairs) [m] distances between links, whose hulls are in `shapes` by their names."""
-    number = list(shapes).index
-    numbers = [(number(a), number(b)) for a, b in pairs]
-    return shape_distances(model, list(shapes.values()), numbers, q_m)
-
-
-def nested_touches(
-    model: RobotModel, geometry: Geometry
-) -> dict[tuple[str, str], tuple[float, float]]:
-    """For each pair of nested links of a description: the share [-] of random postures in which the
-    two touch, and their largest overlap [m] in these. Both are 0 if a link has no shape.
-    """
-    units = [unit for each in units_of_links(model, geometry).values() for unit in each]
-    shapes = link_shapes(units)
-    named = sorted((min(pair), max(pair)) for pair in model.description.nested)
-    shaped = [pair for pair in named if shapes.keys() >= {*pair}]
-    q_m = sample_joints(model, ENOUGH, np.random.default_rng(0))
-    gaps = _link_distances(model, shapes, shaped, q_m)
-    touches = zip((gaps <= 0.0).mean(axis=0).tolist(), (-gaps).max(axis=0).tolist(), strict=True)
-    return dict.fromkeys(named, (0.0, 0.0)) | dict(zip(shaped, touches, strict=True))
 
 
 def _rare_postures(model: RobotModel, met: Meetings, seed: int) -> Array:
