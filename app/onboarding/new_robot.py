@@ -16,6 +16,7 @@ from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import SIDES, numbers, warn, write
+from app.onboarding.check import push_row
 from app.onboarding.fit.grouping import detection_of, find_grouping
 from app.onboarding.fit.meetings import ENOUGH, sample_meetings, watching_buffer, with_stops
 from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, line_from
@@ -168,8 +169,9 @@ def _written(robot: NewRobot, data: BorderData, folder: Path, work: _Work) -> Ne
     content = robot.content | {"lines": content, "without_line": lacking}
     model = write.compiled(content, folder / _URDF)
     robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
-    weak = warn.push_warning(model, warn.borne_push(model, data.pairs.mobile))
-    robot = replace(robot, warnings=[*filter(None, [weak]), *warn.warnings_of(robot)])
+    push = push_row(model, data)
+    weak = [push.text] if push.outcome == "warned" else []
+    robot = replace(robot, warnings=[*weak, *warn.warnings_of(robot)])
     work.tell("writing the report")
     write.write_robot(robot, folder)
     drawn = next(pictures)

@@ -1,6 +1,6 @@
 """Warnings that a user should read before using a new robot.
 
-`dbb check-robot` repeats `holding_warning` and `push_warning` for every robot.
+`dbb check-robot` repeats `holding_warning` for every robot.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,11 +32,11 @@ from app.strict import Array
 
 _POSTURES, _SAMPLES = 100, 2000  # [-] largest numbers of postures near the base, and of random ones
 _LIMIT = "limit the joints between them by position_lower and position_upper of robot.toml"
-_OFTEN = 0.25  # [-] share of postures above which there is a warning
+OFTEN = 0.25  # [-] share of postures above which there is a warning
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
-    """All warnings except `push_warning`, one sentence each; the most serious ones are first."""
+    """All warnings except that of `push_row`, one sentence each; the most serious ones first."""
     return [
         *_scale(robot),
         *_places(robot),
@@ -387,7 +387,7 @@ def _larger_part(v: Array) -> float:
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
     """A warning of base motions that the arm often (over 25 %) cannot compensate, or no text."""
-    often = [each for each in carried if each.place > _OFTEN]
+    often = [each for each in carried if each.place > OFTEN]
     if not often:
         return ""
     motions = ", or while it ".join(
@@ -417,18 +417,6 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
         J, _, d_dot = state.distance_motions(joints, nearest.core[None], nearest.n[None])
         found.append(force_bound(nearest.d, J[0], d_dot[0], state.M, state.g, model.tau_max))
     return np.array(found)
-
-
-def push_warning(model: RobotModel, borne: Array) -> str:
-    """A warning if a person is stronger than `borne_push` in over 25 % of the postures, or ""."""
-    person = model.description.config.hand.f_max
-    if not len(borne) or (weak := float((borne < person).mean())) <= _OFTEN:
-        return ""
-    return (
-        f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the "
-        "postures near the base the joint torques resist only a smaller force; in the worst "
-        f"{_OFTEN:.0%} they resist {np.quantile(borne, _OFTEN):.0f} N or less"
-    )
 
 
 def _near_postures(model: RobotModel) -> Array:

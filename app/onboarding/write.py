@@ -378,20 +378,13 @@ def description(
 def _body(body: FittedBody) -> dict[str, Any]:
     over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
     out = max(fit.protrusion for fit in body.fits)
-    nested = (
-        "; nested: links that touch in most random postures, or overlap by 3 mm at most"
-        if body.nested
-        else ""
-    )
-    return {
-        "name": body.name,
-        "source": f"fitted around the covered links, or their parts that other links can reach: "
-        f"{over} times the volume of their hull, at most {out:.3f} m beyond it{nested}",
-        "frame": body.frame,
-        "covers": body.links,
-        **({"nested": dict(body.nested)} if body.nested else {}),
-        "shapes": [shape_content(fit.shape) for fit in body.fits],
-    }
+    source = "fitted around the covered links, or their parts that other links can reach: "
+    source += f"{over} times the volume of their hull, at most {out:.3f} m beyond it"
+    nested = {"nested": dict(body.nested)} if body.nested else {}
+    if nested:
+        source += "; nested: links that touch in most random postures, or overlap by 3 mm at most"
+    own = {"name": body.name, "source": source, "frame": body.frame, "covers": body.links}
+    return own | nested | {"shapes": [shape_content(fit.shape) for fit in body.fits]}
 
 
 def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:

@@ -43,7 +43,8 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
     By default l_m has one box. Each further shape, and each polytope instead of a box, has to save
-    more than 0.03 contacts of l_m with the arm per posture, in postures in which no links touch.
+    more than 0.03 contacts per posture of l_m with links of the arm that are not close by design.
+    Postures in which links touch do not count, except if links touch in all postures.
     """
     units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -52,11 +53,18 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
         for groups in _divided(corners)
         for kind in ("box", "hull")
     ]
-    costs = [
-        touched + _SAVES * sum(1 + isinstance(fit.shape, Hull) for fit in fits)
-        for fits, touched in zip(tried, _touched(model, meetings, mobile, tried), strict=True)
+    free = (meetings.random.distances > 0.0).all(axis=1)
+    q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
+    ends = {v for u, v in meetings.pairs if u in mobile and (u, v) not in meetings.close}
+    arm = [hulls(unit) for unit in units if unit.index in ends]
+    bases = [
+        [(1, fit.shape.placement(), fit.shape.coal_geometry()) for fit in fits] for fits in tried
     ]
-    fits = tried[int(np.argmin(costs))]
+    pairs = [*product(range(len(bases)), range(len(bases), len(bases) + len(arm)))]
+    touch = shape_distances(model, [*bases, *arm], pairs, q_m) <= 0.0
+    touched = touch.reshape(len(q_m), len(bases), len(arm)).sum(axis=2).mean(axis=0)
+    shapes = [sum(1 + isinstance(fit.shape, Hull) for fit in fits) for fits in tried]
+    fits = tried[int(np.argmin(touched + _SAVES * np.array(shapes)))]
     links = tuple(link for k in mobile for link in units[k].links)
     return FittedBody("lm", units[0].frame, links, mobile, tuple(fits))
 
@@ -82,24 +90,6 @@ def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
         groups[new] = known[i, j][1]
         del groups[i], groups[j]
     return divisions
-
-
-def _touched(
-    model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
-) -> Array:
-    """(tries,) [-] for each of `tried`: mean number of the arm's units, not close by design, that a
-    body of these shapes touches in free postures, or in all postures if none is free.
-    """
-    free = (meetings.random.distances > 0.0).all(axis=1)
-    q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
-    ends = {v for u, v in meetings.pairs if u in mobile and (u, v) not in meetings.close}
-    arm = [hulls(unit) for unit in meetings.units if unit.index in ends]
-    bases = [
-        [(1, fit.shape.placement(), fit.shape.coal_geometry()) for fit in fits] for fits in tried
-    ]
-    pairs = [*product(range(len(bases)), range(len(bases), len(bases) + len(arm)))]
-    touch = shape_distances(model, [*bases, *arm], pairs, q_m) <= 0.0
-    return touch.reshape(len(q_m), len(bases), len(arm)).sum(axis=2).mean(axis=0)
 
 
 class ArmFitter:
