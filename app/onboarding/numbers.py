@@ -95,7 +95,7 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def grouped(whys: Mapping[str, str]) -> dict[str, list[str]]:
-    """Names by their reason in `whys`, in which the reason of some names may be empty."""
+    """Names by their reason in `whys`; names with an empty reason are left out."""
     found = defaultdict[str, list[str]](list)
     for name, why in whys.items():
         if why:

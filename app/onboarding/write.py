@@ -382,7 +382,7 @@ def _body(body: FittedBody) -> dict[str, Any]:
     source += f"{over} times the volume of their hull, at most {out:.3f} m beyond it"
     nested = {"nested": dict(body.nested)} if body.nested else {}
     if nested:
-        source += "; nested: links that touch in most random postures, or overlap by 3 mm at most"
+        source += "; nested: links that touch in most random postures, or overlap by at most 3 mm"
     own = {"name": body.name, "source": source, "frame": body.frame, "covers": body.links}
     return own | nested | {"shapes": [shape_content(fit.shape) for fit in body.fits]}
 

@@ -273,7 +273,7 @@ def detection_of(
         model,
         units,
         samples=TEST_POSTURES,
-        seed=2**31,
+        seed=2**31,  # postures that the fit has not used
         d_b=d_b,
         enough=ENOUGH,
         counted=_counted(model, by_body),

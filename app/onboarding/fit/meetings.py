@@ -299,7 +299,7 @@ def with_stops(
                 enough = high - low >= LEAST * min(span, 2 * np.pi)
                 possible = possible or enough
                 if enough and (ready is None or low <= ready[joint] <= high):
-                    share = round((high - low) / span / 0.05)
+                    share = round((high - low) / span / 0.05)  # similar shares are equal
                     stopping.append((share, -abs(low + high), joint, low, high))
         if stopping:
             *_, joint, low, high = max(stopping)

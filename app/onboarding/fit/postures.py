@@ -320,7 +320,7 @@ class _Guide:
         finds none, it yields the first of the other lines on which a run can start.
         """
         mount = self._model.p_base()
-        tops = _tops(self.body, float(mount[2]) + 0.4)
+        tops = _tops(self.body, float(mount[2]) + 0.4)  # not far above the arm
         heights = [round(share * top + over, 3) for share, over in _HEIGHTS for top in tops]
         last = [round(top + 0.025, 3) for top in tops]
         outs = np.arange(_FARTHEST, self._d_b + _OUTSIDE, -_NEARER).round(3).tolist()
@@ -416,6 +416,7 @@ class _Guide:
             search.place(q_m)
             J = search.J_ee[:3]
             off, W = p - search.state.T_world_ee.translation, J / D
+            # The small summand, in m/(N s), regularises singular postures.
             q_m = q_m + W.T @ np.linalg.solve(J @ W.T + 1e-9 * np.eye(3), off)
             q_m = np.clip(q_m, search.model.q_lower, search.model.q_upper)
         search.place(q_m)
