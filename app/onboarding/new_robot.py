@@ -66,10 +66,9 @@ def finish(
 
     `helpers` starts the workers for all parallel work except the border; by default there are none.
     `processes` other processes sample the border (default: one for each usable core). `sampling`
-    has the parameters of a coarser border; then the calling process samples the border alone,
-    because starting others would take longer. `whole` is the result of `whole_robot`, if it is
-    known. `tell` is called with the name of each step before it begins. `on_progress` is called
-    with the finished share, 0 to 1, of a long step.
+    has the parameters of a coarser border, which the calling process samples alone. `whole` is the
+    result of `whole_robot`, if it is known. `tell` is called with the name of each step before it
+    begins, `on_progress` with the finished share, 0 to 1, of a long step.
 
     Raises:
         RobotFileError: The zip or the URDF cannot become a robot, a library refuses it, or the name

@@ -123,9 +123,8 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     """(n_m,) [N m s/rad or N s/m] damping D of the joints while a person guides the arm.
 
     It is 2 N m s/rad for a joint with an effort of at least 30 N m and 1 N m s/rad for a weaker
-    one, as for the paper's robot, and 20 N s/m for a prismatic joint. It is at most m/(3 dt), which
-    pybullet simulates stably; m is the smallest `RobotModel.joint_inertia` in random postures, and
-    dt = 1 ms.
+    one, as for the paper's robot, and 20 N s/m for a prismatic joint. It is at most m/(3 ms), which
+    is stable in pybullet; m is the smallest `RobotModel.joint_inertia` in random postures.
     """
     least = 1.0 / largest_of_postures(model, lambda q: 1.0 / model.joint_inertia(q))
     found = []
@@ -319,8 +318,7 @@ def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach
     `workers` start at once, before the results are read. Coefficients are those of `best_fit`, or
     assumed if `best_fit` raises an error, or if fewer than three joints move the body.
     """
-    mobile = model.body_names[0]
-    bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
+    bodies = [pair.b for pair in candidate_pairs(model) if pair.a == model.body_names[0]]
     found = workers.map(_reach_of, [(model, body) for body in bodies])
     return zip(bodies, found, strict=True)
 

@@ -1,7 +1,4 @@
-"""Warnings that a user should read before using a new robot.
-
-`dbb check-robot` repeats `holding_warning` for every robot.
-"""
+"""Warnings that a user should read before using a new robot."""
 
 from collections.abc import Iterator, Sequence
 from operator import itemgetter
@@ -336,10 +333,8 @@ class Carried(NamedTuple):
 
 
 def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
-    """Shares of postures in which the arm cannot hold its end-effector, for each axis of the base.
-
-    In these postures the arm is too slow or lacks a joint; see `lost_ee`. The base moves along one
-    axis at its largest commanded speed. The postures are random ones near the base.
+    """Shares of random postures near the base in which the arm cannot hold its end-effector, by the
+    axis along which the base moves at its largest commanded speed; see `lost_ee`.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, model.description.config.admittance)
@@ -402,10 +397,9 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
-    """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
-
-    Each value belongs to a random posture near the base, at rest. It is the `force_bound` of the
-    nearest of `pairs`, the pairs with l_m. Without pairs, N is 0.
+    """(N,) [N] largest pushes on the arm towards the base that the joint torques can resist, in
+    random postures near the base, at rest: the `force_bound` of the nearest of `pairs`, which are
+    the pairs with l_m. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():

@@ -127,10 +127,9 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope around points (N, 3) [m], with a face for each of 42 directions; or a box.
-
-    The result is a box if qhull finds no polytope. The frame of a polytope is at the centre of the
-    points' bounding box, with z along their first principal axis.
+    """A polytope around points (N, 3) [m], with a face for each of 42 directions, in a frame at the
+    centre of the points' bounding box with z along their first principal axis; or a box if qhull
+    finds no polytope.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -165,8 +164,8 @@ def volume_of(shape: Shape) -> float:
 def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """The pieces of a mesh, which planes cut until no cut saves enough volume.
 
-    A cut saves the difference of the volumes of a piece's hull and of the hulls of its halves. It
-    has to save more than 8 cm³, and more than 3 % of the volume of the hull of `mesh`.
+    A cut has to save, by the hulls of both halves instead of that of the piece, more than 8 cm³ and
+    more than 3 % of the volume of the hull of `mesh`.
     """
     whole = hull(mesh.vertices).volume
     least = max(0.03 * whole, 0.02**3)

@@ -1,9 +1,8 @@
 """Grouping of links into bodies whose pairs detect collisions and do not react in free postures.
 
 Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A pair of bodies
-detects a collision if the bodies overlap in the same posture. Two kinds of pairs are not monitored:
-bodies that are neighbours, and pairs that are inside their buffer in most free postures, if their
-links are that close by design or if other pairs detect their collisions.
+detects a collision if the bodies overlap in the same posture. Neighbours are no pair, and pairs in
+`Verdict.unwatched` are not monitored.
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain, combinations, compress
 from typing import NamedTuple
 
@@ -69,13 +70,13 @@ class Meetings:
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
     """(N,) for units u and v, in both orders: whether v has reached each point on u's surface."""
 
-    @property
+    @cached_property
     def nested(self) -> frozenset[tuple[int, int]]:
         """Close pairs that touch in half of the random postures or more, as in a telescope."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
-    @property
+    @cached_property
     def grazing(self) -> frozenset[tuple[int, int]]:
         """Pairs of the arm's units with 30 contacts or more, all of them at most 3 mm deep."""
         return _grazing(self.units, self.pairs, self.random.distances, self.rare.distances)
@@ -270,10 +271,10 @@ def with_stops(
 ) -> Limits:
     """Joint limits that, if possible, prevent contact of the base with links close to it by design.
 
-    For each of these links that touches the base in a sampled posture, one joint before the link
-    gets narrower limits: the joint that retains the largest share of its range. If no joint retains
-    a quarter of its range, or of a turn if this is less, no limit changes; see `watching_buffer`.
-    `ready` (n_m,) is a posture that the limits have to include, or None.
+    For each such link that touches the base in a random posture, one joint before the link gets
+    narrower limits: the joint that retains the largest share of its range. If no joint retains a
+    quarter of its range, or of a turn if this is less, no limit changes. The limits have to include
+    the posture `ready` (n_m,), if it is not None.
 
     Raises:
         RobotFileError: Limits can prevent the contact, but none of them includes `ready`.

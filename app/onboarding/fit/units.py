@@ -145,8 +145,8 @@ def shape_distances(
 ) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
-    `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions.
-    With 150 or more pairs of shapes, results of at least 0.5 m are lower bounds.
+    `pairs` are pairs of groups by their indices; q_m (N, n_m) are the joint positions. With 150 or
+    more pairs of shapes, results of at least 0.5 m are lower bounds.
     """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
