@@ -342,8 +342,9 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that borders have points at the heights, up to the top of l_m, that the arm reaches.
 
-    A gap between the lowest and the highest point of a border causes a warning. Below and above
-    these points, the exact offset of l_m replaces missing points.
+    A gap between the lowest and the highest point of a border, or no border, causes a warning. The
+    check fails if all borders are empty. Below and above its points, the exact offset of l_m
+    replaces the border.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"

@@ -171,8 +171,8 @@ class ArmFitter:
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
-    """The points of the link `owner` in `mask`, in groups (N, 3) [m]. Two groups are farther
-    apart than `_APART`, and than twice the largest distance of neighbours on the link's surface.
+    """The points of the link `owner` in `mask`, in groups (N, 3) [m]. The distance of two groups
+    exceeds `_APART`, and twice the largest distance of a surface point from its nearest neighbour.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
     if len(points) < 2:
