@@ -24,7 +24,6 @@ from app.onboarding.fit.convex import (
     support,
     volume_of,
 )
-from app.robot.model import RobotModel
 from app.robot.shapes import hull_mesh, shape_mesh
 from tests.robots import husky_panda
 
@@ -126,19 +125,18 @@ def test_sweep_through_a_joint_is_computed_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Groupings with the same outer links share the result."""
-    rng, asked = np.random.default_rng(2), []
+    rng, computed = np.random.default_rng(2), []
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}
     swept(husky_panda(), points)
-    positions = bodies._positions
+    lean = bodies.lean_corners
 
-    def counted(model: RobotModel, joint: int, turns: bool) -> np.ndarray:
-        asked.append(joint)
-        return positions(model, joint, turns)
+    def counted(corners: np.ndarray) -> np.ndarray:
+        computed.append(lean(corners))
+        return computed[-1]
 
-    monkeypatch.setattr(bodies, "_positions", counted)
+    monkeypatch.setattr(bodies, "lean_corners", counted)
     swept(husky_panda(), points | {5: points[6]})
-    assert asked.count(8) == 1  # the sweep from 8 outwards is stored; from 5 and 6 it is new
-    assert asked.count(7) == 1
+    assert len(computed) == 4  # from 6 to 5 and from 5 to 8; the sweeps from 8 to 6 are stored
 
 
 def test_sweep_encloses_the_links_in_all_positions_of_the_joints_between() -> None:

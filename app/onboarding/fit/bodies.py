@@ -221,9 +221,8 @@ def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Arra
         corners = along + (corners - along) * _SAGITTA
     clouds = []
     low, high = model.q_lower[joint - 2], model.q_upper[joint - 2]
-    positions = np.linspace(
-        low, high, max(2, int(np.ceil((high - low) / _STEP)) + 1 if turns else 2)
-    )
+    count = max(2, int(np.ceil((high - low) / _STEP)) + 1) if turns else 2
+    positions = np.linspace(low, high, count)
     if turns and high - low >= 2 * np.pi:
         positions = np.arange(0.0, 2 * np.pi, _STEP)
     for position in positions:
