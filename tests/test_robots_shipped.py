@@ -14,7 +14,7 @@ import pytest
 from app.errors import AssetError
 from app.onboarding import check
 from app.onboarding.check import arm_row, base_row, dynamics_row, limits_row
-from app.onboarding.fit import grouping, meetings, stops
+from app.onboarding.fit import grouping, meetings
 from app.robot import assets
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.description import load_robot
@@ -117,7 +117,7 @@ def test_a_named_limit_prevents_the_contacts_that_no_pair_monitors(
     monkeypatch.setattr(grouping, "TEST_POSTURES", 800)
     monkeypatch.setattr(grouping, "ENOUGH", 0)
     monkeypatch.setattr(meetings, "_TRIES", 3)
-    monkeypatch.setattr(stops, "parameter", lambda _: SimpleNamespace(low=0.01))
+    monkeypatch.setattr(meetings, "parameter", lambda _: SimpleNamespace(low=0.01))
     description = load_robot("husky_ur5")
     row = arm_row(model_of("husky_ur5"))
     assert row.numbers["left_out_poses"] > 50
