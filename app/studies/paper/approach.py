@@ -36,6 +36,7 @@ _COLOURS: dict[str, Rgba] = {
     BODY: (0.83, 0.20, 0.62, 1.0),  # magenta
     "other bodies": (0.36, 0.62, 0.80, 1.0),
 }
+_ACCELERATIONS = ("linear_mps2", "angular_radps2")
 _OF_DOOR = (
     "door_min_distance_m",
     "door_contacts",
@@ -59,8 +60,8 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     for name, e in _TRACKED.items():
         look = _TIMES, _VIEWS["lateral"], e.aim()
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], sources.runs[e], *look))
-    shown, aim = (strips, "controller", _MOTION), "target and desired motion"
-    return drawing.snapshot_drawing(sources.model, *shown, aim=aim)
+    aim = "target and desired motion"
+    return drawing.snapshot_drawing(sources.model, strips, "controller", _MOTION, aim=aim)
 
 
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
@@ -69,27 +70,26 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     method is inserted continuously with top priority. (b) The repulsive method has a position
     error, the proposed method has none.
     """
-    distances = [f"d_{pair}_m" for pair in _PAIRS]
-    parts = sources.columns(_TRACKED, "t_s", *distances, "ee_error_m")
+    distances = {pair: f"d_{pair}_m" for pair in _PAIRS}
+    parts = sources.columns(_TRACKED, "t_s", *distances.values(), "ee_error_m")
     table = drawing.stacked(parts, "controller")
     figure, grid = style.new_panels(6.4, 2, 2, sharex=True)
     grid[0][0].sharey(grid[0][1])
-    for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True), start=1):
+    for ax, letter, (pair, column) in zip(grid[0], ("a1", "a2"), distances.items(), strict=True):
         drawing.method_lines(ax, parts, column)
-        _distance_panel(ax, sources, f"a{k}", style.PAIR_NAMES[_PAIRS[k - 1]])
-    shown = np.concatenate([table[column] for column in distances])
+        _distance_panel(ax, sources, letter, style.PAIR_NAMES[pair])
+    shown = np.concatenate([table[column] for column in distances.values()])
     grid[0][0].set_ylim(min(0.0, float(shown.min())), 1.1 * float(shown.max()))
-    error, detail = grid[1]
     texts = "norm of the position error", "the same on a logarithmic scale"
-    for k, (ax, text) in enumerate(zip(grid[1], texts, strict=True), start=1):
+    for ax, letter, text in zip(grid[1], ("b1", "b2"), texts, strict=True):
         drawing.method_lines(ax, parts, "ee_error_m")
         ax.set_ylabel("position error [m]")
-        style.panel_title(ax, f"b{k}", text)
+        style.panel_title(ax, letter, text)
+        style.time_axis(ax, paper.TRACKING.scenario.duration)
+    error, detail = grid[1]
     error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 does not touch the axis
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
-    for ax in grid[1]:
-        style.time_axis(ax, paper.TRACKING.scenario.duration)
     grid[0][0].legend(loc="lower left")
     remark = (
         "The task of the repulsive method prescribes all three components of the closest point's "
@@ -111,8 +111,8 @@ def figure_13(sources: Sources) -> drawing.Drawing:
         times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[name], e.aim()))
-    shown, aim = (strips, "direction", _MOTION), "guiding direction and its end"
-    return drawing.snapshot_drawing(sources.model, *shown, aim=aim)
+    aim = "guiding direction and its end"
+    return drawing.snapshot_drawing(sources.model, strips, "direction", _MOTION, aim=aim)
 
 
 @style.picture("fig14", "Figure 14: distances and activation while guiding", *DIRECTIONS.values())
@@ -156,13 +156,13 @@ def figure_15(sources: Sources) -> drawing.Drawing:
     }
     tables = {name: _avoidance_columns(*run) for name, run in runs.items()}
     figure, grid = style.new_panels(6.2, 2, 2, sharex="col", sharey="row")
-    for k, name in enumerate(DIRECTIONS):
+    for k, (name, experiment) in enumerate(DIRECTIONS.items()):
         parts = {method: tables[f"{name}, {method}"] for method in reversed(paper.GUIDING)}
-        for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
-            unit = "mps2" if kind == "linear" else "radps2"
-            drawing.method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
+        for ax, letter, column in zip(grid[:, k], "ab", _ACCELERATIONS, strict=True):
+            drawing.method_lines(ax, parts, column, linewidth=1.6)
+            kind = column.partition("_")[0]
             style.panel_title(ax, f"{letter}{k + 1}", f"{kind}, {name} direction")
-        style.time_axis(grid[1][k], DIRECTIONS[name].scenario.duration)
+        style.time_axis(grid[1][k], experiment.scenario.duration)
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
     _legend_below(figure, grid[0][0])
@@ -183,20 +183,16 @@ def _smoothness(run: RunResult, method: str) -> dict[str, object]:
     """The results of a run on the smoothness of base accelerations and torques, by their keys."""
     # The repulsive method has no base acceleration of avoidance.
     kinds = ("base",) if method == "repulsive" else ("avoidance", "base")
-    changes = ("acceleration_jump_max", "acceleration_sign_changes")
+    changes = "acceleration_jump_max", "acceleration_sign_changes"
     keys = [f"{kind}_{change}" for kind in kinds for change in changes]
-    keys += ["torque_jump_max_nm", "torque_rate_sign_changes"]
-    return {key: run.figures[key] for key in keys}
+    return {k: run.figures[k] for k in (*keys, "torque_jump_max_nm", "torque_rate_sign_changes")}
 
 
 def _avoidance_columns(run: RunResult, method: str) -> drawing.Table:
     """Base acceleration of avoidance; for the repulsive method, the commanded base acceleration."""
     kind = "base" if method == "repulsive" else "avoidance"
-    return {
-        "t_s": run.trace["t_s"],
-        "linear_mps2": run.trace[f"{kind}_a_mps2"],
-        "angular_radps2": run.trace[f"{kind}_aw_radps2"],
-    }
+    names = "t_s", f"{kind}_a_mps2", f"{kind}_aw_radps2"
+    return dict(zip(("t_s", *_ACCELERATIONS), (run.trace[name] for name in names), strict=True))
 
 
 def _distance_panel(ax: Axes, sources: Sources, letter: str, title: str) -> None:

@@ -62,27 +62,19 @@ class Finding(NamedTuple):
     limits: tuple[Threshold, ...] = ()
 
 
-def compare(
-    text: str,
-    key: str,
-    value: float | None,
-    *,
-    low: Threshold | None = None,
-    high: Threshold | None = None,
-) -> Finding:
-    """Compare a number with one or two bounds; a missing or infinite number violates them.
+def compare(text: str, key: str, value: float | None, **bounds: Threshold) -> Finding:
+    """Compare a number with `low`, `high` or both; a missing or infinite number violates them.
 
     The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
     """
-    limits = tuple(limit for limit in (low, high) if limit)
-    bounds = f"at {'least' if low else 'most'} {limits[0]}"
+    low, high, limits = bounds.get("low"), bounds.get("high"), tuple(bounds.values())
+    required = f"at {'least' if low else 'most'} {limits[0]}"
     if low and high:
-        bounds = f"{low.value:g} to {high}"
+        required = f"{low.value:g} to {high}"
     if value is None or not np.isfinite(value):
-        return Finding(f"{text}: never (required: {bounds})", False, {key: None}, limits)
+        return Finding(f"{text}: never (required: {required})", False, {key: None}, limits)
     holds = (not low or value >= low.value) and (not high or value <= high.value)
-    number = f"{value:.3g} {limits[0].unit}".strip()
-    text = f"{text} {number} (required: {bounds})"
+    text = f"{text} {value:.3g} {limits[0].unit}".strip() + f" (required: {required})"
     return Finding(text, bool(holds), {key: float(value)}, limits)
 
 

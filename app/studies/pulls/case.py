@@ -25,7 +25,7 @@ from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import check_avoidance
 from app.strict import Array
-from app.studies.pulls.parameters import FAULTS, PARAMETERS, Interval, StudyParameters, StudyRange
+from app.studies.pulls.parameters import FAULTS, PARAMETERS, Interval, StudyParameters
 from app.studies.runs import Row, flattened, rounded
 from app.studies.sweep.plan import exit_distance, point_of
 
@@ -106,12 +106,28 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`."""
+    """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`.
+
+    `near` and `far` are quantiles over random postures in which the end-effector points outwards
+    and not far upwards, as the start solver requires; without such a posture, 0 and infinite.
+    """
     model = RobotModel(load_robot(robot))
-    body = MobileBody(model)
-    lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
+    body, data = MobileBody(model), load_border_data(model, progress=False)
     check_avoidance(model, data)
-    return StudySources(model, data, lower, body.upper, *_measure_reach(model))
+    state, rng, distances = RobotState(model), np.random.default_rng(0), []
+    joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
+    state.update(at_rest(model, np.array(model.description.arm.ready_position)))
+    shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
+    for _ in range(_SAMPLES):
+        state.update(at_rest(model, rng.uniform(model.q_lower, model.q_upper)))
+        p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
+        out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
+        sideways = abs(z[1] * out[0] - z[0] * out[1])
+        if sideways < _SIDEWAYS and z[2] < _UPWARDS and z[:2] @ out > 0:
+            distances.append(np.linalg.norm(p - shoulder))
+    near, far = np.quantile(distances, _QUANTILES) if distances else (0.0, np.inf)
+    lower = np.array([*body.lower[:2], 0.0])
+    return StudySources(model, data, lower, body.upper, shoulder, float(near), float(far))
 
 
 def draw_start(
@@ -146,7 +162,11 @@ def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start
     middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
     plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
     aim = np.array([*plan, rng.uniform(_LOWEST, float(upper[2]))])
-    outwards = _direction(sector, rng)
+    while True:
+        outwards = rng.standard_normal(3)
+        outwards /= np.linalg.norm(outwards)
+        if sector_of(outwards) == sector:
+            break
     distance = exit_distance(aim, outwards, lower, upper) + rng.uniform(*_GAP)
     return Start(sector, aim + distance * outwards, aim)
 
@@ -162,44 +182,12 @@ def sector_of(direction: Array) -> str:
     return next((name for name, edge in _EDGES.items() if azimuth < math.radians(edge)), "back")
 
 
-def _direction(sector: str, rng: np.random.Generator) -> Array:
-    """Draw a unit vector (3,) with a uniform distribution in a sector of the sphere."""
-    while True:
-        v = rng.standard_normal(3)
-        v /= np.linalg.norm(v)
-        if sector_of(v) == sector:
-            return v
-
-
-def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
-    """The fields `shoulder`, `near` and `far` of `StudySources`.
-
-    The distances are quantiles over random postures in which the end-effector points outwards and
-    not far upwards, as the start solver requires; without such a posture they are 0 and infinite.
-    """
-    state, rng = RobotState(model), np.random.default_rng(0)
-    joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
-    ready = np.array(model.description.arm.ready_position)
-    state.update(at_rest(model, ready))
-    shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
-    distances = []
-    for _ in range(_SAMPLES):
-        q = rng.uniform(model.q_lower, model.q_upper)
-        state.update(at_rest(model, q))
-        p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
-        out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
-        sideways = abs(z[1] * out[0] - z[0] * out[1])
-        if sideways < _SIDEWAYS and z[2] < _UPWARDS and z[:2] @ out > 0:
-            distances.append(np.linalg.norm(p - shoulder))
-    near, far = np.quantile(distances, _QUANTILES) if distances else (0.0, np.inf)
-    return shoulder, float(near), float(far)
-
-
 def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
     """Draw the random quantities of a case, by the columns of the study's table.
 
-    They depend only on the parameters and the number, because a case has its own random streams. If
-    the arm reaches no start in the range of heights, this raises a StudyError.
+    They depend only on the parameters and the number, because a case has its own random streams. A
+    case has at most three faults; absent faults have the parameters' defaults. If the arm reaches
+    no start in the range of heights, this raises a StudyError.
     """
     rng, others = (
         np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=key))
@@ -211,9 +199,17 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along = _draw_move(start, rng)
     move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
+    released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
+    release_at = duration * moving * rng.uniform(*_RELEASE)
+    regrasp_at = release_at + duration * (1.0 - moving) * rng.uniform(*_FREE)
     drawn |= {"duration": duration, "moving": moving}
-    drawn |= _draw_release(ranges, duration, moving, rng)
-    drawn |= _draw_faults(ranges, duration * moving, others)
+    drawn["release_at"] = release_at if released else None
+    drawn["regrasp_at"] = regrasp_at if released and regrasped else None
+    drawn |= {name: ranges.draw(name, others) for name in _LATER}
+    count = int(others.integers(1, _MAX_FAULTS + 1)) if others.random() < ranges.faulty else 0
+    for name in others.permutation(list(FAULTS))[count:]:
+        drawn[name] = parameter(PARAMETERS[name]).default
+    drawn["fault_at"] = ranges.draw("fault_at", others) * (duration * moving)
     return {
         "case": number,
         "kind": f"{start.sector}, along" if along else start.sector,
@@ -258,29 +254,6 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
     return move, pulling + rest, pulling / (pulling + rest)
 
 
-def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
-    """Draw payload, at most three faults, and `fault_at` [s], for a pull of `pulling` [s].
-
-    Absent faults have the parameters' defaults.
-    """
-    drawn = {name: ranges.draw(name, rng) for name in _LATER}
-    count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
-    for name in rng.permutation(list(FAULTS))[count:]:
-        drawn[name] = parameter(PARAMETERS[name]).default
-    return drawn | {"fault_at": ranges.draw("fault_at", rng) * pulling}
-
-
-def _draw_release(
-    ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
-) -> dict[str, float | None]:
-    """Draw the times [s] of release and new grasp; None if the event does not happen."""
-    released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
-    at = duration * moving * rng.uniform(*_RELEASE)
-    again = at + duration * (1.0 - moving) * rng.uniform(*_FREE)
-    regrasp_at = again if released and regrasped else None
-    return {"release_at": at if released else None, "regrasp_at": regrasp_at}
-
-
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
     """The run of a case, from the random quantities in its row."""
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
@@ -310,9 +283,9 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     except (DbbError, ValueError, ArithmeticError) as error:
         return stopped(drawn, f"{type(error).__name__}: {error}")
     results = flat(result.figures)
-    nan = not (result.trace.finite and all(map(_finite, results.values())))
-    stored = {key: rounded(value) if _finite(value) else None for key, value in results.items()}
-    return {**drawn, **stored, "nan": nan, "error": None}
+    bad = {key for key, x in results.items() if isinstance(x, float) and not math.isfinite(x)}
+    stored = {key: None if key in bad else rounded(x) for key, x in results.items()}
+    return {**drawn, **stored, "nan": bool(bad) or not result.trace.finite, "error": None}
 
 
 def stopped(drawn: Row, reason: str) -> Row:
@@ -330,9 +303,9 @@ def met_itself(row: Row) -> bool:
     return _met(row, "arm_")
 
 
-def _met(row: Row, prefix: str) -> bool:
-    distance = row.get(f"{prefix}min_clearance_m")
-    return bool(row.get(f"{prefix}contacts")) or (distance is not None and distance <= 0.0)
+def _met(row: Row, of: str) -> bool:
+    distance = row.get(f"{of}min_clearance_m")
+    return bool(row.get(f"{of}contacts")) or (distance is not None and distance <= 0.0)
 
 
 def too_fast(row: Row) -> bool:
@@ -357,7 +330,3 @@ def failed(row: Row) -> bool:
 def flat(results: Mapping[str, Any]) -> Row:
     """The stored results of a run by the columns of a study's table."""
     return flattened({key: value for key, value in results.items() if key not in _NOT_STORED})
-
-
-def _finite(value: object) -> bool:
-    return not isinstance(value, float) or math.isfinite(value)

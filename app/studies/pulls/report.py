@@ -86,6 +86,12 @@ _COLUMNS = {
 _LARGEST = 0.3  # [m] end of the axes of distance
 _ERRORS = 1e-5, 1.0  # [m] ends of the axes of errors
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
+_MARKS = {
+    "arm met base": ("x", 44, TARGET),
+    "arm met itself": ("+", 54, "#882E72"),
+    "fallback command, NaN or error": ("^", 34, "#D55E00"),
+}
+"""Marker, size and colour of failed cases, by the first reason that applies to a case."""
 
 
 def summary_of(
@@ -149,12 +155,9 @@ def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
 def _of_force(rows: Sequence[Row], low: float, high: float, events: Events) -> dict[str, Any]:
     """Results of the cases whose force (`exerted`) is at least `low` and below `high` [N]."""
     here = [row for row in rows if low <= exerted(row) < high]
-    return {
-        "from_n": low,
-        "to_n": high if math.isfinite(high) else None,
-        **_counts_and_distance(here, events),
-        "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None),
-    }
+    results = {"from_n": low, "to_n": high if math.isfinite(high) else None}
+    results |= _counts_and_distance(here, events)
+    return {**results, "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None)}
 
 
 def _counts_and_distance(rows: Sequence[Row], events: Events) -> dict[str, Any]:
@@ -199,9 +202,9 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
     points = scatter(good, **colours, **look, zorder=4)
     text = "smallest distance, arm to base [m]"
     figure.colorbar(points, ax=axes, extend="max", pad=0.01, label=text)
-    for name, (rule, style) in _MARKS.items():
-        bad = [row for row in known if failed(row) and rule(row)]
-        scatter(bad, zorder=5, label=name, **style)
+    for name, (marker, size, colour) in _MARKS.items():
+        bad = [row for row in known if failed(row) and _flaw(row) == name]
+        scatter(bad, zorder=5, label=name, marker=marker, s=size, c=colour)
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set(xlabel="speed of the person's hand [m/s]", xlim=(low - 0.02, high + 0.02))
     axes.set_ylabel("largest force before a distance of 10 mm [N]")
@@ -216,11 +219,10 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     that is fitted to them. Right: each case, by the direction of its start; failed cases are red.
     """
     figure, (left, right) = new_panels(4.2, 1, 2, width_ratios=(3, 2))
-    known = [row for row in rows if row.get("min_clearance_m") is not None]
-    low = min(0.0, *_known(rows, "min_clearance_m"))
+    low = min([0.0, *_known(rows, "min_clearance_m")])
     bins = np.arange(np.floor(low / 0.01) * 0.01, _LARGEST + 0.01, 0.01)
     inside, outside = (
-        [row["min_clearance_m"] for row in known if envelope.holds(row) is held]
+        _known([row for row in rows if envelope.holds(row) is held], "min_clearance_m")
         for held in (True, False)
     )
     left.hist(
@@ -235,8 +237,8 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     left.set_xlabel("smallest distance between arm and base [m]; the last bar has no upper limit")
     left.set_ylabel("cases")
     left.legend(title="envelope", loc="upper center")
-    _by_kind(right, rows, "min_clearance_m", (low, _LARGEST))
     right.axvline(0.0, color=TARGET, linewidth=1.2)
+    _by_kind(right, rows, "min_clearance_m", (low, _LARGEST))
     right.set(xlabel="smallest distance [m]", xlim=(low - 0.01, _LARGEST))
     return figure
 
@@ -257,17 +259,10 @@ def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
     return figure
 
 
-_MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
-    "arm met base": (met_base, {"marker": "x", "s": 44, "c": TARGET}),
-    "arm met itself": (
-        lambda row: met_itself(row) and not met_base(row),
-        {"marker": "+", "s": 54, "c": "#882E72"},
-    ),
-    "fallback command, NaN or error": (
-        lambda row: not met_base(row) and not met_itself(row),
-        {"marker": "^", "s": 34, "c": "#D55E00"},
-    ),
-}
+def _flaw(row: Row) -> str:
+    """The key in `_MARKS` of a failed case."""
+    base, itself, other = _MARKS
+    return base if met_base(row) else itself if met_itself(row) else other
 
 
 def _by_kind(axes: Axes, rows: Sequence[Row], column: str, ends: tuple[float, float]) -> None:
@@ -299,10 +294,13 @@ def report_html(
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
     verdict, forces = outcome(summary)
     drawn = [Part(p.title, name, [p.caption], pictures[name]) for name, p in PICTURES.items()]
+    both = [envelope.model_dump(), Envelope.stated().model_dump()]
+    body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
+    head = ["largest force, intervals [SI units]", "fitted to these cases", "the project states"]
     parts = [
         verdict,
         *drawn,
-        _envelope(envelope),
+        Part("The envelope", tables=[Grid(head, body, numbers=True)]),
         forces,
         _counted("By the direction of the start", "from", summary["by_kind"]),
         _counted("Faults and their reports", "fault", summary["faults"]),
@@ -339,7 +337,7 @@ def _lead(parameters: StudyParameters) -> str:
 
 
 def _verdict(s: Mapping[str, Any]) -> list[str]:
-    distance, halves = s["min_clearance_m"], s["envelope"]["inside_by_halves"]
+    halves = s["envelope"]["inside_by_halves"]
     lines = [
         f"{s['failed']} of {s['cases']} cases failed. In {s['contact']} runs the arm touched the "
         f"base in the plant. In {s['bodies_overlap']} runs it touched the base, or the convex "
@@ -348,21 +346,18 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
         f"convex bodies met. {s['solver_failure']} runs had steps with the fallback command, "
         f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error."
     ]
-    if s["hand_force_max_n"]:
-        weakest, median, strongest = _texts(s["hand_force_max_n"], "0_%", "50_%", "100_%")
-        (speed,) = _texts(s["hand_speed_max_mps"], "100_%")
-        lines.append(
-            f"The largest force of the person in a run was {weakest} to {strongest} N (median "
-            f"{median} N). The largest speed of the end-effector was {speed} m/s. In "
-            f"{_percent(s['entered_buffer_share'])} of the runs the arm entered the buffer of the "
-            "base."
-        )
-    if distance:
-        smallest, few, half = _texts(distance, "0_%", "5_%", "50_%")
-        lines.append(
-            f"The smallest distance between arm and base was {smallest} m. It was at least "
-            f"{half} m in half of the runs, and at least {few} m in 95 of 100 runs."
-        )
+    quantiles = [s[k] for k in ("hand_force_max_n", "hand_speed_max_mps", "min_clearance_m")]
+    if all(quantiles):
+        force, speed, distance = ({k: number_text(v) for k, v in q.items()} for q in quantiles)
+        lines += [
+            f"The largest force of the person in a run was {force['0_%']} to {force['100_%']} N "
+            f"(median {force['50_%']} N). The largest speed of the end-effector was "
+            f"{speed['100_%']} m/s. In {_percent(s['entered_buffer_share'])} of the runs the arm "
+            "entered the buffer of the base.",
+            f"The smallest distance between arm and base was {distance['0_%']} m. It was at least "
+            f"{distance['50_%']} m in half of the runs, and at least {distance['5_%']} m in 95 of "
+            "100 runs.",
+        ]
     lines.append(
         f"Of {halves['cases']} cases inside an envelope that was fitted to other cases, "
         f"{halves['failed']} failed: the failure rate is below "
@@ -381,17 +376,6 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _texts(quantiles: Mapping[str, float], *names: str) -> list[str]:
-    return [number_text(quantiles[name]) for name in names]
-
-
-def _envelope(fitted: Envelope) -> Part:
-    both = [fitted.model_dump(), Envelope.stated().model_dump()]
-    body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
-    head = ["largest force, intervals [SI units]", "fitted to these cases", "the project states"]
-    return Part("The envelope", tables=[Grid(head, body, numbers=True)])
-
-
 def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
     """A table of the numbers `found` of each group; `group` is the title of the first column."""
     head = [group, *map(label, next(iter(found.values())))]
@@ -404,8 +388,7 @@ def _failures(rows: Sequence[Row]) -> Part:
     if not bad:
         return Part("Failures", text=["No case failed."])
     body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
-    cut = len(bad) > _MAX_FAILURES
-    more = f" The table has {_MAX_FAILURES} of {len(bad)} failures." if cut else ""
+    more = f" The table has {len(body)} of {len(bad)} failures." if len(bad) > len(body) else ""
     text = (
         f"The failures with the smallest forces are first.{more} "
         "`dbb run --case failures/case-NNNNN.json` repeats a case; `dbb serve --case` with the "

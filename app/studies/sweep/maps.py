@@ -1,7 +1,6 @@
 """The maps of a sweep: horizontal paths by their direction, paths from above by their place."""
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +41,7 @@ class Quantity(NamedTuple):
     key: str  # key in the rows of paths
     title: str
     scale: Normalize  # of the values [m or s]
-    limit: float | None  # [m or s] boundary of good values; None if all values are good
+    limit: float  # [m or s] boundary of good values; infinite if all values are good
     marks: tuple[tuple[float, str], ...]  # values that are drawn as circles, with their texts
     more_is_better: bool = False
 
@@ -55,23 +54,16 @@ class Quantity(NamedTuple):
 
         If larger values are better, values below the limit have the limit's radius.
         """
-        if self.more_is_better and self.limit is not None:
-            value = max(value, self.limit)
-        return _INNER + (_OUTER - _INNER) * max(self.share(value), _MIN_BAR)
-
-    def good(self, value: float) -> bool:
-        """Whether a value is on the good side of the limit."""
-        if self.limit is None:
-            return True
-        return value >= self.limit if self.more_is_better else value <= self.limit
+        shown = max(value, self.limit) if self.more_is_better else value
+        return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
     def colour(self, value: float) -> Colour:
         """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit.
 
-        Without a limit, smaller values are darker.
+        With an infinite limit, smaller values are darker.
         """
-        at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
-        good = self.good(value)
+        at, limit = self.share(value), self.share(self.limit)
+        good = value >= self.limit if self.more_is_better else value <= self.limit
         width = limit if good is not self.more_is_better else 1.0 - limit
         depth = min(abs(at - limit) / width, 1.0) if width > 0.0 else 0.0
         return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * depth)
@@ -107,7 +99,7 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
             "time_s",
             "time until the error is within 1 mm",
             Normalize(0.0, longest, clip=True),
-            None,
+            math.inf,
             ((longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")),
         ),
     )
@@ -163,7 +155,8 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
     """
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
-    sides = [_smallest_step([*rows, *no_start], key) for key in ("place_x_m", "place_y_m")]
+    columns = ([row[key] for row in [*rows, *no_start]] for key in ("place_x_m", "place_y_m"))
+    sides = [float(np.diff(np.unique(column)).min(initial=1.0)) for column in columns]
     body = MobileBody(model)
     lower, upper = body.lower, body.upper
     speed_text, length = f"{1000 * speed:.3g} mm/s", f"{result['length_m']:g} m"
@@ -277,8 +270,3 @@ def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
     """If a path had a contact, draw a cross at a place in the coordinates of the axes."""
     if row.get("contacts") or row.get("arm_contacts"):
         ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)
-
-
-def _smallest_step(rows: Sequence[Row], key: str) -> float:
-    """[m] smallest difference between different values of a column, at most 1."""
-    return float(np.diff(np.unique([row[key] for row in rows])).min(initial=1.0))

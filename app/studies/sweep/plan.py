@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -93,26 +93,6 @@ def point_of(p: Array) -> Point:
     return x, y, z
 
 
-def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
-    """Paths of the kind `side`, at each height [m] from all directions, `step` [deg] apart."""
-    for height, k in product(heights, range(round(360.0 / step))):
-        yield Approach("side", height, k * step)
-
-
-def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
-    """Paths of the kind `wheel_axis` from both sides, for all heights [m] and `AXIS_OFFSETS`."""
-    for height, direction, offset in product(heights, (90.0, 270.0), AXIS_OFFSETS):
-        yield Approach("wheel_axis", height, direction, offset)
-
-
-def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
-    """Paths of the kind `above`, on a grid between corners (2,), at most `spacing` [m] apart."""
-    counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
-    xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True))
-    for x, y in product(xs, ys):
-        yield Approach("above", place=(round(float(x), 6), round(float(y), 6)))
-
-
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
     """[m] distance from a point p [m] in a box to the surface of the box, along a unit vector.
 
@@ -186,11 +166,17 @@ class SweepPlan:
         """All paths; each is for all speeds and controllers."""
         from app.border.mobile import MobileBody
 
-        found, body = list(ring(self.heights, self.step)), MobileBody(model)
+        directions, body = range(round(360.0 / self.step)), MobileBody(model)
+        found = [Approach("side", h, k * self.step) for h, k in product(self.heights, directions)]
         if self.wheel_axis:
-            found += wheel_axis(self.heights)
+            each = product(self.heights, (90.0, 270.0), AXIS_OFFSETS)
+            found += [Approach("wheel_axis", *numbers) for numbers in each]
         if self.above:
-            found += from_above(body.lower[:2], body.upper[:2], self.above_spacing)
+            lower, upper = body.lower[:2], body.upper[:2]
+            parts = np.ceil((upper - lower) / self.above_spacing - 1e-9).astype(int)
+            sides = zip(lower, upper, np.maximum(parts, 1) + 1, strict=True)
+            grid = product(*(np.linspace(*side).tolist() for side in sides))
+            found += [Approach("above", place=(round(x, 6), round(y, 6))) for x, y in grid]
         return found
 
     def trials(self, starts: list[Start]) -> Iterator[tuple[Start, str, float]]:

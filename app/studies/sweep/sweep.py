@@ -103,7 +103,7 @@ class StartFinder:
         self._flaws: Counter[str] = Counter()
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
-        """Find the start of a path, or the reasons why there is none.
+        """Find the start of a path, or the three most frequent reasons why there is none.
 
         If the arm cannot reach the desired `distance` [m] from the base on the path's line, the
         start has the distance at which the search ended.
@@ -120,7 +120,9 @@ class StartFinder:
             closest = self._closest(q_m)
             p_ee, p_b = point_of(self._state.T_world_ee.translation), point_of(closest.p_b)
             return Start(approach, tuple(q_m.tolist()), p_ee, p_b, float(closest.d))
-        return Start(approach, reason=_reasons(refused or self._flaws))
+        flaws = sorted((refused or self._flaws).items(), key=lambda item: (-item[1], item[0]))
+        reasons = (f"{flaw} ({count} tries)" for flaw, count in flaws[:3])
+        return Start(approach, reason="; ".join(reasons))
 
     def _postures(self, approach: Approach, seed: int) -> Iterator[_Posture]:
         """Postures for a path; paths that differ only in `offset` share them."""
@@ -200,12 +202,6 @@ class StartFinder:
         """Closest points of the nearest pair with the base; the state then has the posture q_m."""
         self._state.update(at_rest(self._state.model, q_m))
         return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
-
-
-def _reasons(flaws: Counter[str]) -> str:
-    """The three most frequent reasons of failed tries, as a text."""
-    ordered = sorted(flaws.items(), key=lambda item: (-item[1], item[0]))
-    return "; ".join(f"{flaw} ({count} tries)" for flaw, count in ordered[:3])
 
 
 @lru_cache(maxsize=1)
