@@ -232,7 +232,7 @@ def test_thinned_border_is_a_sorted_subset(sources: Sources):
 def test_border_of_a_thinned_cloud_has_the_same_share_of_points(sources: Sources):
     cloud = sources.data.clouds["lm-lEE"]
     whole = len(construct_dbb(cloud, 0.15, 0.01))
-    thin = len(construct_dbb(density.thinned_cloud(cloud, 0.4), 0.15, 0.01))
+    thin = len(construct_dbb(density.thinned(cloud, round(0.4 * len(cloud))), 0.15, 0.01))
     assert thin == pytest.approx(0.4 * whole, rel=0.03)
 
 

@@ -39,7 +39,15 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
-    parts = [Part(text=[verdict(numbers, chain), *_missing(run)])]
+    counts = zip(run.columns, np.isnan(run.table).sum(axis=0).tolist(), strict=True)
+    empty = [
+        f"{column.name} ({count} of {len(run)} rows)"
+        for column, count in counts
+        if count and not column.optional and column.name not in _UNKNOWN
+    ]
+    more = f" and {len(empty) - _LISTED} other columns" if len(empty) > _LISTED else ""
+    gaps = f"Values are missing in the log, in {', '.join(empty[:_LISTED])}{more}."
+    parts = [Part(text=[verdict(numbers, chain), *([gaps] if empty else [])])]
     if chain:
         named = numbers["min_distance_m"].items()
         numbers["min_distance_m"] = {spoken(pair, chain): d for pair, d in named}
@@ -55,19 +63,6 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
     rows = "one for each control step" if run.each_step else "without the steps between them"
     about = f"{robot}; {first.t:.2f} s to {last.t:.2f} s, {len(run)} rows, {rows}."
     return page_html(title, about, parts)
-
-
-def _missing(run: Trace) -> list[str]:
-    """A list with a sentence on required columns with missing values; empty if there are none."""
-    empty = zip(run.columns, np.isnan(run.table).sum(axis=0).tolist(), strict=True)
-    found = [
-        f"{column.name} ({count} of {len(run)} rows)"
-        for column, count in empty
-        if count and not column.optional and column.name not in _UNKNOWN
-    ]
-    more = f" and {len(found) - _LISTED} other columns" if len(found) > _LISTED else ""
-    listed = ", ".join(found[:_LISTED])
-    return [f"Values are missing in the log, in {listed}{more}."] if found else []
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
@@ -96,7 +91,7 @@ def _without_infinite(run: Trace) -> Trace:
 
 def _changes(run: Trace) -> Part:
     rows = [
-        (path, getattr(tunables()[path], "unit", "").removeprefix("-"), _value(usual), _value(had))
+        (path, tunables()[path].unit.removeprefix("-"), _value(usual), _value(had))
         for path, usual, had in config_changes([s.config for s in run.snapshots])
     ]
     if not rows:
@@ -111,18 +106,17 @@ def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
     For each, the result has the path, such as `border.d_b`, the default, and the value or, if the
     configurations differ in it, the list of different values.
     """
-    changes = []
-    for path, about in tunables().items():
-        had = list(dict.fromkeys(config.value(path) for config in configs))
-        if had != [about.default]:
-            changes.append((path, about.default, had[0] if len(had) == 1 else had))
-    return changes
+    had = {path: list(dict.fromkeys(c.value(path) for c in configs)) for path in tunables()}
+    return [
+        (path, about.default, had[path][0] if len(had[path]) == 1 else had[path])
+        for path, about in tunables().items()
+        if had[path] != [about.default]
+    ]
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, list):
-        return ", then ".join(map(_value, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    values = value if isinstance(value, list) else [value]
+    return ", then ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in values)
 
 
 @style.picture("distances", "Distances and activations")
@@ -137,11 +131,10 @@ def distances_figure(run: Trace) -> Figure:
         line = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
         above.plot(run.t, run.distances[:, k], label=spoken(pair, chain) if chain else pair, **line)
         below.plot(run.t, run.betas[:, k], **line)
-    d_b = [s.d_b for s in run.snapshots]
+    times, d_b = zip(*((s.t, s.d_b) for s in run.snapshots), strict=True)
     if len(set(d_b)) == 1 and math.isfinite(d_b[0]):
         style.level(above, d_b[0], "buffer distance $d_b$")
     else:  # it changed during the run, or is missing
-        times = [s.t for s in run.snapshots]
         above.step(times, d_b, where="post", color=style.SOFT, linestyle=(0, (4, 3)), label="$d_b$")
     above.axhline(0.0, color=style.TARGET, linewidth=1.0)
     above.set_ylabel("distance [m]")
@@ -156,11 +149,10 @@ def base_figure(run: Trace) -> Figure:
     """Above: commanded acceleration of the base, and desired acceleration of the avoidance. Below:
     commanded and true velocity of the base.
     """
-    figure = style.new_figure(6.4)
     acceleration, avoidance = run.of("base_acceleration"), run.of("avoidance_acceleration")
     command, velocity = run.of("base_velocity_command"), run.of("base_velocity")
     linear = acceleration.shape[1] - 1  # the last axis is angular
-    grid = figure.subplots(2, linear + 1, sharex=True)
+    figure, grid = style.new_panels(6.4, 2, linear + 1, sharex=True)
     names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
     for k, name in enumerate([*names, r"\omega"]):
         (above, below), unit = grid[:, k], "m" if k < linear else "rad"
@@ -183,11 +175,9 @@ def end_effector_figure(run: Trace) -> Figure:
     """
     figure, (error, force) = style.new_panels(4.6, 2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.EE)
-    error.set_ylabel("end-effector error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
-    force.set_ylabel("force [N]")
-    for ax in (error, force):
-        ax.set_ylim(bottom=0.0)
+    error.set(ylabel="end-effector error [mm]", ylim=(0.0, None))
+    force.set(ylabel="force [N]", ylim=(0.0, None))
     _over_time((error, force), run)
     return figure
 

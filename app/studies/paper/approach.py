@@ -60,8 +60,8 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     for name, e in _TRACKED.items():
         look = _TIMES, _VIEWS["lateral"], e.aim()
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], sources.runs[e], *look))
-    aim = "target and desired motion"
-    return drawing.snapshot_drawing(sources.model, strips, "controller", _MOTION, aim=aim)
+    text = "target and desired motion"
+    return drawing.snapshot_drawing(sources.model, strips, "controller", text, _MOTION)
 
 
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
@@ -111,8 +111,8 @@ def figure_13(sources: Sources) -> drawing.Drawing:
         times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[name], e.aim()))
-    aim = "guiding direction and its end"
-    return drawing.snapshot_drawing(sources.model, strips, "direction", _MOTION, aim=aim)
+    text = "guiding direction and its end"
+    return drawing.snapshot_drawing(sources.model, strips, "direction", text, _MOTION)
 
 
 @style.picture("fig14", "Figure 14: distances and activation while guiding", *DIRECTIONS.values())
@@ -248,8 +248,8 @@ def figure_17(sources: Sources) -> drawing.Drawing:
         run = sources.runs[experiment]
         look = {"solids": partial(refrigerator, run), "marks": arc(run)}
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], run, _DOOR_TIMES, view, **look))
-    shown = "controller", _OF_DOOR, "door_angle_rad"
-    return drawing.snapshot_drawing(sources.model, strips, *shown, marks="arc of the door's edge")
+    shown = "controller", "arc of the door's edge", _OF_DOOR, "door_angle_rad"
+    return drawing.snapshot_drawing(sources.model, strips, *shown)
 
 
 @style.picture("fig18", "Figure 18: distance of the door and activation", *_DOORS.values())

@@ -79,6 +79,7 @@ def compare(text: str, key: str, value: float | None, **bounds: Threshold) -> Fi
 
 
 Findings = Iterable[Finding]  # a claim holds if all of its findings hold
+Measure = Callable[..., Findings]
 
 
 class Claim(NamedTuple):
@@ -88,7 +89,7 @@ class Claim(NamedTuple):
     figure: str  # name of the figure with which `dbb reproduce` judges the claim
     paper: str  # the claim in this project's words
     needs: tuple[Experiment, ...]
-    measure: Callable[..., Findings]  # of the sources, and of the run of each needed experiment
+    measure: Measure  # of the sources, and of the run of each needed experiment
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """Measure the claim; return its entry in `metrics.json`."""
@@ -105,9 +106,7 @@ class Claim(NamedTuple):
         }
 
 
-def claim(
-    section: str, figure: str, *needs: Experiment
-) -> Callable[[Callable[..., Findings]], Claim]:
+def claim(section: str, figure: str, *needs: Experiment) -> Callable[[Measure], Claim]:
     """Decorator that makes a `Claim`: a function measures it, and the docstring is its text."""
     return lambda measure: Claim(section, figure, docstring_of(measure), needs, measure)
 
@@ -314,18 +313,11 @@ def trade_off(s: Sources, _: RunResult) -> Findings:
         f"{n} points: {1e3 * j:.0f} mm, {c:.0f} µs"
         for n, j, c in zip(count, jump, cost, strict=True)
     )
-    yield Finding(
-        f"largest jump and median time of a search: {text}; jump on the surface: "
-        f"{1e3 * surface:.0f} mm",
-        jump[-1] < jump[0] and cost[-1] > cost[0],
-        {
-            "jump_sparse_m": jump[0],
-            "jump_dense_m": jump[-1],
-            "find_sparse_us": cost[0],
-            "find_dense_us": cost[-1],
-            "jump_surface_m": surface,
-        },
-    )
+    text = f"largest jump and median time of a search: {text}; jump on the surface: "
+    values = {"jump_sparse_m": jump[0], "jump_dense_m": jump[-1], "find_sparse_us": cost[0]}
+    values |= {"find_dense_us": cost[-1], "jump_surface_m": surface}
+    holds = jump[-1] < jump[0] and cost[-1] > cost[0]
+    yield Finding(f"{text}{1e3 * surface:.0f} mm", holds, values)
 
 
 @claim("4.3", "density")

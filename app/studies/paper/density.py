@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -28,6 +28,7 @@ _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as 
 _MIN_CHANGE = 1e-9  # [m] smallest drawn step, because the axis is logarithmic
 _MARGIN = 0.03  # [m] margin around the paths, seen from above
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
+Points = TypeVar("Points", Border, Cloud)
 
 
 @style.picture("density", "§4.3: density of the border", LATERAL)
@@ -80,26 +81,18 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
     experiment = GUIDING["points"]["lateral"]
     clouds = {}
     for pair in sources.data.pairs.mobile:
+        cloud = sources.data.clouds[pair.name]
         share = min(1.0, PAPERS_COUNT / len(sources.border_of(pair)))
-        clouds[pair.name] = thinned_cloud(sources.data.clouds[pair.name], share)
+        clouds[pair.name] = thinned(cloud, round(share * len(cloud)))
     data = replace(sources.data, clouds=clouds)
     return run_from_spec(experiment, sources.model, data).figures
 
 
-def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
-    """A fixed random choice of a `share` [-] of a cloud's points."""
-    chosen = _chosen(len(cloud), round(share * len(cloud)))
-    return replace(cloud, points=cloud.points[chosen], distances=cloud.distances[chosen])
-
-
-def thinned(border: Border, count: int) -> Border:
-    """A border with `count` of its points, a fixed random choice."""
-    chosen = _chosen(len(border), count)
-    return replace(border, points=border.points[chosen])
-
-
-def _chosen(total: int, count: int) -> Array:
-    return np.sort(np.random.default_rng(0).choice(total, count, replace=False))
+def thinned(whole: Points, count: int) -> Points:
+    """A border or cloud with `count` of its points, a fixed random choice."""
+    chosen = np.sort(np.random.default_rng(0).choice(len(whole), count, replace=False))
+    arrays = {name: x for name, x in vars(whole).items() if isinstance(x, Array)}
+    return replace(whole, **{name: x[chosen] for name, x in arrays.items()})
 
 
 def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
@@ -115,14 +108,12 @@ def jump_and_cost(
     sources: Sources, finder: ActingPointFinder, path: list[ClosestPoints]
 ) -> tuple[float, float, float]:
     """Largest and 99th percentile step [m] of p_act along a path; median time [µs] of a search."""
-    points, times = [], []
+    found, times = [], []
     for closest in path:
         begin = perf_counter()
-        acting = finder.find_acting_point(closest.p_b, closest.d, sources.config.force)
+        found.append(finder.find_acting_point(closest.p_b, closest.d, sources.config.force))
         times.append(perf_counter() - begin)
-        if acting is not None:
-            points.append(acting.p_act)
-    jumps = step_sizes(np.array(points))
+    jumps = step_sizes(np.array([acting.p_act for acting in found if acting is not None]))
     return float(jumps.max()), float(np.percentile(jumps, 99)), 1e6 * float(np.median(times))
 
 
@@ -141,23 +132,22 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     figure, (plan, steps) = style.new_panels(4.6, 1, 2, width_ratios=(1, 1.35))
     style.panel_title(plan, "", "the acting point from above")
     style.panel_title(steps, "", "motion of the acting point in each control step")
-    for kind, along in found.items():
-        mark = "." if kind == "points" else "-"
+    for (kind, along), mark in zip(found.items(), ".-", strict=True):
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
-        place = along["p_act_x_m"], along["p_act_y_m"]
-        plan.plot(*place, mark, markersize=4, linewidth=2.2, **look)
+        x, y = along["p_act_x_m"], along["p_act_y_m"]
+        plan.plot(x, y, mark, markersize=4, linewidth=2.2, **look)
         change = np.maximum(along["p_act_step_m"][1:], _MIN_CHANGE)
         steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
     drawing.base_in_plan(plan, sources.model)
-    line: dict[str, Any] = {"color": style.PAIR_COLOURS["lm-lEE"], "linestyle": (0, (3, 2))}
-    line |= {"linewidth": 1.6, "label": "closest point of the end-effector"}
+    text = "closest point of the end-effector"
+    line = {"linestyle": (0, (3, 2)), "linewidth": 1.6, "label": text}
     smooth = found["surface"]
-    plan.plot(smooth["p_b_x_m"], smooth["p_b_y_m"], **line)
+    plan.plot(smooth["p_b_x_m"], smooth["p_b_y_m"], color=style.PAIR_COLOURS["lm-lEE"], **line)
     x, y = (np.concatenate([smooth[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
     drawing.square_around(plan, np.column_stack([x, y]), _MARGIN)
     plan.legend(loc="upper right", fontsize=9)
     steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]", yscale="log")
-    steps.set_xlim(float(coarse[0][0]), float(coarse[0][-1]))
+    steps.set_xlim(*coarse[0][[0, -1]])
     steps.legend(loc="lower right", fontsize=9)
     return drawing.Drawing(
         figure,
@@ -184,11 +174,8 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
     stays = np.ma.clump_unmasked(np.ma.masked_array(run.t, outside))
     begin, end = max((run.t[stay] for stay in stays), key=len)[[0, -1]]
     t = np.arange(begin, min(end, begin + LONGEST), dt)
-    recorded = sources.closest_points(run.of("q_m"))
-    d, p_a, p_b, n = (
-        CubicSpline(run.t, [getattr(closest, name) for closest in recorded])(t)
-        for name in ("d", "p_a", "p_b", "n")
-    )
+    recorded, names = sources.closest_points(run.of("q_m")), ("d", "p_a", "p_b", "n")
+    d, p_a, p_b, n = (CubicSpline(run.t, [getattr(c, x) for c in recorded])(t) for x in names)
     n /= np.linalg.norm(n, axis=1)[:, None]
     rows = zip(d, p_a, p_b, n, p_b, strict=True)
     return t, [ClosestPoints(sources.pair, *row) for row in rows]
@@ -231,7 +218,6 @@ def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) 
         for key, column in ((linear, "base_a_mps2"), (angular, "base_aw_radps2")):
             sizes[key] = float(np.abs(np.diff(along[column])).max())
         result[kind] = sizes
-    points, surface = result["points"], result["surface"]
-    ratios = {"linear_ratio": points[linear] / surface[linear]}
-    ratios["angular_ratio"] = points[angular] / surface[angular]
+    over = {key: result["points"][key] / result["surface"][key] for key in (linear, angular)}
+    ratios = {"linear_ratio": over[linear], "angular_ratio": over[angular]}
     return {**result, "points_over_surface": ratios}

@@ -143,18 +143,12 @@ class Strip:
 
 
 def snapshot_drawing(
-    model: RobotModel,
-    strips: Sequence[Strip],
-    kind: str,
-    results: Sequence[str],
-    *columns: str,
-    aim: str = "",
-    marks: str = "",
+    model: RobotModel, strips: list[Strip], kind: str, text: str, keys: Sequence[str], *columns: str
 ) -> Drawing:
-    """A drawing with four snapshots of each strip, a table of `Strip.paths`, and some results.
+    """A drawing with four snapshots of each strip, a table of `Strip.paths`, and results by `keys`.
 
     The table has the names of the strips in the column `kind`, and also `columns` of the traces.
-    `aim` and `marks` are the legend's texts for `Strip.aim` and `Strip.marks`, if any.
+    `text` is the legend's text for `Strip.aim` or `Strip.marks`, of which all strips have the same.
     """
     height = len(strips) * (style.WIDTH / _COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)
@@ -165,19 +159,18 @@ def snapshot_drawing(
             part.suptitle(f"({letter}) {strip.text}", x=0.01, ha="left", weight="bold")
             for ax, t in zip(part.subplots(1, _COLUMNS), strip.times, strict=True):
                 _panel(ax, model, strip, cameras[strip.view], photographer, t)
-    keys = [
+    dots: dict[str, Any] = {"color": style.TARGET, "linestyle": ":"}
+    last = style.marker_style(style.TARGET) if strips[0].marks is None else dots
+    handles = [
         Line2D([], [], color=style.SOFT, linestyle="--", label="start of the base"),
         Line2D([], [], color=style.PATH, label="path of the base's centre"),
         Line2D([], [], color=style.EE, label="path of the end-effector"),
+        Line2D([], [], label=text, **last),
     ]
-    if aim:
-        keys.append(Line2D([], [], label=aim, **style.marker_style(style.TARGET)))
-    if marks:
-        keys.append(Line2D([], [], color=style.TARGET, linestyle=":", label=marks))
-    place = {"loc": "outside lower center", "ncols": len(keys), "handlelength": 2.2}
-    figure.legend(handles=keys, fontsize=10, **place)
+    place = {"loc": "outside lower center", "ncols": len(handles), "handlelength": 2.2}
+    figure.legend(handles=handles, fontsize=10, **place)
     paths = {strip.name: strip.paths(*columns) for strip in strips}
-    measured = {strip.name: {key: strip.run.figures[key] for key in results} for strip in strips}
+    measured = {strip.name: {key: strip.run.figures[key] for key in keys} for strip in strips}
     return Drawing(figure, {"": stacked(paths, kind)}, measured)
 
 

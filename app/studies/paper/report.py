@@ -46,12 +46,7 @@ def work(names: Sequence[str]) -> float:
 
 
 def reproduce(
-    names: Sequence[str],
-    out: Path,
-    *,
-    seed: int = 0,
-    processes: int = 1,
-    on_progress: Callable[[float], None] = lambda _: None,
+    names: Sequence[str], out: Path, seed: int, processes: int, on_progress: Callable[[float], None]
 ) -> dict[str, Any]:
     """Make figures with their data, judge their claims, write all files into an existing folder.
 

@@ -56,15 +56,10 @@ of the angle from the base's heading, on both sides."""
 
 _TRIES = 600  # [-] largest number of positions that are drawn for a case
 _IN_SECTOR = 60  # [-] number of positions after which the sector is drawn again
-_SEARCHES = 2  # [-] starting points of the search for a posture, for each pitch of the end-effector
 _GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
 _INNER = 0.9  # [-] part of the base's length and width that contains the targets
 _ABOVE, _BELOW = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
 _EDGES = {"front": 30.0, "front corner": 60.0, "side": 120.0}  # [deg] largest angle from the front
-_SAMPLES = 4000  # [-] number of postures from which the reach is measured
-_SIDEWAYS = 0.5  # [-] largest sideways component of the end-effector's direction
-_UPWARDS = 0.26  # [-] largest upward component of this direction: the start solver's 15°
-_QUANTILES = 0.02, 0.98  # [-] quantiles of the end-effector's distance from the shoulder
 _ALONG = 0.15  # [-] probability of a pull along the base
 _ALONG_ANGLE = math.radians(45.0)  # [rad] largest turn of a pull along the base towards the base
 _LOWEST = 0.05  # [m] smallest height of targets in the base, and of ends of pulls along the base
@@ -72,8 +67,6 @@ _LENGTH = 0.15, 0.60  # [m] length of a pull along the base; the upper end also 
 _REST = 1.0  # [s] time of the run after the pull, when a collision is still possible
 _PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
 _RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
-_FASTEST = 1.05  # [-] largest tolerated speed of a joint, relative to its limit
-_MAX_FAULTS = 3  # [-] largest number of faults in a case
 _LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
 _FREE = 0.1, 0.9  # [-] time from release to new grasp: range as a share of the time after the pull
 
@@ -108,8 +101,9 @@ class Start(NamedTuple):
 def load_sources(robot: str) -> StudySources:
     """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`.
 
-    `near` and `far` are quantiles over random postures in which the end-effector points outwards
-    and not far upwards, as the start solver requires; without such a posture, 0 and infinite.
+    `near` and `far` are the quantiles 2 % and 98 % over those of 4000 random postures in which the
+    end-effector points outwards, with a sideways component below 0.5, and at most 15° upwards, as
+    the start solver requires. Without such a posture they are 0 and infinite.
     """
     model = RobotModel(load_robot(robot))
     body, data = MobileBody(model), load_border_data(model, progress=False)
@@ -118,14 +112,14 @@ def load_sources(robot: str) -> StudySources:
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
     state.update(at_rest(model, np.array(model.description.arm.ready_position)))
     shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
-    for _ in range(_SAMPLES):
+    for _ in range(4000):
         state.update(at_rest(model, rng.uniform(model.q_lower, model.q_upper)))
         p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
         out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
         sideways = abs(z[1] * out[0] - z[0] * out[1])
-        if sideways < _SIDEWAYS and z[2] < _UPWARDS and z[:2] @ out > 0:
+        if sideways < 0.5 and z[2] < 0.26 and z[:2] @ out > 0:
             distances.append(np.linalg.norm(p - shoulder))
-    near, far = np.quantile(distances, _QUANTILES) if distances else (0.0, np.inf)
+    near, far = np.quantile(distances, (0.02, 0.98)) if distances else (0.0, np.inf)
     lower = np.array([*body.lower[:2], 0.0])
     return StudySources(model, data, lower, body.upper, shoulder, float(near), float(far))
 
@@ -149,7 +143,7 @@ def draw_start(
         high = heights[0] <= start.p[2] <= heights[1]
         if high and sources.near <= distance <= sources.far:
             with suppress(UnreachableError):
-                return start, solver.solve(point_of(start.p), seed=seed, tries=_SEARCHES), redraws
+                return start, solver.solve(point_of(start.p), seed=seed, tries=2), redraws
     raise StudyError(
         f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts with its "
         f"end-effector {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
@@ -197,8 +191,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     first = ("speed", *(name for name in PARAMETERS if name not in _LATER))
     drawn: dict[str, Any] = {name: ranges.draw(name, rng) for name in first}
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
-    move, along = _draw_move(start, rng)
-    move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
+    move, along, duration, moving = _draw_pull(start, drawn["speed"], ranges.duration, rng)
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
     release_at = duration * moving * rng.uniform(*_RELEASE)
     regrasp_at = release_at + duration * (1.0 - moving) * rng.uniform(*_FREE)
@@ -206,7 +199,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     drawn["release_at"] = release_at if released else None
     drawn["regrasp_at"] = regrasp_at if released and regrasped else None
     drawn |= {name: ranges.draw(name, others) for name in _LATER}
-    count = int(others.integers(1, _MAX_FAULTS + 1)) if others.random() < ranges.faulty else 0
+    count = int(others.integers(1, 4)) if others.random() < ranges.faulty else 0
     for name in others.permutation(list(FAULTS))[count:]:
         drawn[name] = parameter(PARAMETERS[name]).default
     drawn["fault_at"] = ranges.draw("fault_at", others) * (duration * moving)
@@ -222,36 +215,32 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     }
 
 
-def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
+def _draw_pull(
+    start: Start, speed: float, longest: float, rng: np.random.Generator
+) -> tuple[Array, bool, float, float]:
     """Draw the displacement (3,) [m] of a pull, and whether the pull is along the base.
 
-    A pull along the base is perpendicular to the line to the target, or turned by up to 45° towards
-    the target, and ends above the floor. Other pulls end at the target or after 0.6 m.
+    The other results are the duration [s] of the run, and the pull's share of it. A pull along the
+    base is perpendicular to the line to the target, or turned by up to 45° towards the target, and
+    ends above the floor. Other pulls end at the target or after 0.6 m. `speed` [m/s] is the largest
+    speed of the hand. The rest after the pull takes 1 s, but at most a quarter of `longest` [s]. If
+    the run would take longer than `longest`, the displacement is shortened.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
     across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
-    o = start.outwards
-    if not along:
-        move = start.aim - start.p
-        return move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move))), False
-    across -= (across @ o) * o
-    move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
-    move[2] = max(move[2], _LOWEST - start.p[2])
-    return move, True
-
-
-def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """Displacement (3,) [m] of a pull, duration [s] of the run, and the pull's share of it.
-
-    `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s]: if needed,
-    `move` is shortened. The rest after the pull takes 1 s, but at most a quarter of `longest`.
-    """
+    o, move = start.outwards, start.aim - start.p
+    if along:
+        across -= (across @ o) * o
+        move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
+        move[2] = max(move[2], _LOWEST - start.p[2])
+    else:
+        move = move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move)))
     rest = min(_REST, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed
     if pulling > longest - rest:
         move = move * ((longest - rest) / pulling)
         pulling = longest - rest
-    return move, pulling + rest, pulling / (pulling + rest)
+    return move, along, pulling + rest, pulling / (pulling + rest)
 
 
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
@@ -312,7 +301,7 @@ def too_fast(row: Row) -> bool:
     """Whether a joint exceeded 1.05 times its speed limit at a time when no torque was at its limit
     or had been there in the last 0.1 s.
     """
-    return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
+    return (row.get("joint_speed_share_unsaturated_max") or 0.0) > 1.05
 
 
 def entered_buffer(row: Row, d_b: float) -> bool:

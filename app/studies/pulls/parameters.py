@@ -42,7 +42,7 @@ PARAMETERS = {
 
 LOGARITHMIC = ("hand_stiffness",)  # quantities whose logarithm is uniformly distributed
 
-Probability = Annotated[float, (0.0, 1.0)]
+Probability = Annotated[float, (0.0, 1.0, "")]
 
 
 class StudyRange(Strict):
@@ -50,10 +50,11 @@ class StudyRange(Strict):
 
     The distribution in an interval is uniform, for `LOGARITHMIC` on a logarithmic scale. `height`
     only bounds the random starts. A single number is a probability or, for `duration`, a limit.
-    Annotations contain the valid range of quantities that are not in `PARAMETERS`.
+    Annotations of quantities that are not in `PARAMETERS` contain the smallest valid value, the
+    largest valid value, and the unit.
     """
 
-    speed: Annotated[Interval, (0.01, 1.5)] = (0.1, 1.2)
+    speed: Annotated[Interval, (0.01, 1.5, "m/s")] = (0.1, 1.2)
     """[m/s] largest speed of the person's hand."""
     base_delay: Interval = (0.0, 0.4)
     """[s] delay from a velocity command to the base's drive."""
@@ -72,7 +73,7 @@ class StudyRange(Strict):
     """[N/m] stiffness of the person's spring."""
     hand_mass: Interval = (0.0, 2.0)
     """[kg] mass of the person's hand and forearm."""
-    height: Annotated[Interval, (0.05, 2.0)] = (0.12, 0.90)
+    height: Annotated[Interval, (0.05, 2.0, "m")] = (0.12, 0.90)
     """[m] height of the end-effector above the floor at the start."""
     payload: Interval = (0.0, 1.0)
     """[kg] mass of the load at the end-effector that the controller's model includes."""
@@ -91,10 +92,10 @@ class StudyRange(Strict):
     faulty: Probability = 0.5
     """[-] probability that a case has one to three of the faults sensor_delay, sensor_period,
     dropped, unknown_load, stated_period; the other cases have no fault."""
-    fault_at: Annotated[Interval, (0.0, 1.0)] = (0.0, 0.5)
+    fault_at: Annotated[Interval, (0.0, 1.0, "")] = (0.0, 0.5)
     """[-] time at which the faults begin, as a share of the pull's duration; a wrong stated_period
     acts from the start."""
-    duration: Annotated[float, (0.05, 60.0)] = 8.0
+    duration: Annotated[float, (0.05, 60.0, "s")] = 8.0
     """[s] largest duration of a run: pull and rest; it limits the distance of a slow pull."""
     released: Probability = 0.3
     """[-] probability that the person releases the end-effector before the end of the pull."""
@@ -106,13 +107,13 @@ class StudyRange(Strict):
         """Raise a `ConfigError` that names the option of `dbb study` and its valid values."""
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
-            known = parameter(PARAMETERS[name]) if name in PARAMETERS else None
-            field = type(self).model_fields[name]
-            low, high = (known.low, known.high) if known else field.metadata[0]
-            unit = (field.description or "").partition("]")[0].removeprefix("[").removeprefix("-")
+            bounds = next(iter(type(self).model_fields[name].metadata), None)
+            if bounds is None:
+                known = parameter(PARAMETERS[name])
+                bounds = known.low, known.high, known.unit.removeprefix("-")
             ends = value if isinstance(value, tuple) else (value,)
             for end in ends:
-                check_range(option, end, low, high, unit)
+                check_range(option, end, *bounds)
             if ends[0] > ends[-1]:
                 raise ConfigError(f"{option}: LOW {ends[0]:g} is above HIGH {ends[-1]:g}")
         return self

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -31,15 +31,6 @@ ERROR_LIMIT = 0.001  # [m] largest final error of a successful path
 CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a successful path
 CLEAR = 0.02  # [m] difference between the distance at the start and d_b, by default
 _MIN_CLEAR = 0.005  # [m] smallest valid difference
-_RANGES = {
-    "heights": (0.02, 2.0, "m"),
-    "speeds": (0.001, 1.0, "m/s"),
-    "step": (0.5, 90.0, "deg"),
-    "above_spacing": (0.02, 1.0, "m"),
-    "length": (0.01, 0.5, "m"),
-    "hold": (0.0, 60.0, "s"),
-}
-"""Smallest valid value, largest valid value, and unit of fields of `SweepPlan`."""
 _FARTHEST = 0.5  # [m] largest valid distance between arm and base at the start
 OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
 """Options of `dbb sweep` whose names differ from the field of `SweepPlan`."""
@@ -105,17 +96,20 @@ def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> flo
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep, and the conditions of the runs along them."""
+    """The paths of a sweep, and the conditions of the runs along them.
+
+    Annotations contain the smallest valid value, the largest valid value, and the unit.
+    """
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controllers: tuple[str, ...] = ("dbb",)
     """One or several of dbb, hqp, repulsive, barrier and none, separated by blanks or commas."""
-    heights: tuple[float, ...] = (0.3,)
+    heights: Annotated[tuple[float, ...], (0.02, 2.0, "m")] = (0.3,)
     """[m] heights of the end-effector on horizontal paths, one or several."""
-    speeds: tuple[float, ...] = (0.025,)
+    speeds: Annotated[tuple[float, ...], (0.001, 1.0, "m/s")] = (0.025,)
     """[m/s] mean speeds of the end-effector on a path, one or several."""
-    step: float = 5.0
+    step: Annotated[float, (0.5, 90.0, "deg")] = 5.0
     """[deg] angle between two neighbouring directions; 360 must be a multiple of this angle."""
     mode: Mode = "tracking"
     """tracking with constant orientation, or guiding by a person who pulls the end-effector."""
@@ -123,11 +117,11 @@ class SweepPlan:
     """Include paths parallel to the wheel axis, from the left and from the right."""
     above: bool = False
     """Include vertical paths down onto the base, one at each point of a grid over the base."""
-    above_spacing: float = 0.15
+    above_spacing: Annotated[float, (0.02, 1.0, "m")] = 0.15
     """[m] largest spacing of the grid of --above."""
-    length: float = 0.2
+    length: Annotated[float, (0.01, 0.5, "m")] = 0.2
     """[m] length of each path."""
-    hold: float = 3.0
+    hold: Annotated[float, (0.0, 60.0, "s")] = 3.0
     """[s] duration of the rest at the end of each path."""
     start_distance: float | None = None
     """[m] distance between arm and base at the start; default: d_b + 0.02."""
@@ -142,11 +136,12 @@ class SweepPlan:
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         chosen_plant(self.physics)
-        for name, bounds in _RANGES.items():
+        for name, kind in get_type_hints(type(self), include_extras=True).items():
             values = getattr(self, name)
             option = f"--{OPTIONS.get(name, name).replace('_', '-')}"
-            for value in values if isinstance(values, tuple) else (values,):
-                check_range(option, value, *bounds)
+            for bounds in getattr(kind, "__metadata__", ()):
+                for value in values if isinstance(values, tuple) else (values,):
+                    check_range(option, value, *bounds)
         for name, option in OPTIONS.items():
             if not getattr(self, name):
                 raise ConfigError(f"--{option}: needs one or several values")

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby, islice, product, tee
@@ -70,8 +71,6 @@ _FIRST = (
 )
 """First columns of `sweep.csv`."""
 
-_Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joint positions
-
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 """[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
 _SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
@@ -98,9 +97,9 @@ class StartFinder:
         self._state = RobotState(model)
         self._monitor = DistanceMonitor(self._state, data.pairs.mobile)
         self._body = MobileBody(model)
-        self._searched: tuple[Approach, int] | None = None
-        self._found: Iterator[_Posture] = iter(())
-        self._flaws: Counter[str] = Counter()
+        self._flaws: Counter[str] = Counter()  # failed tries of the last search, by the reason
+        # Paths that differ only in `offset` share the postures; a copy of `tee` begins anew.
+        self._postures = lru_cache(maxsize=1)(lambda *path: tee(self._search(*path), 1)[0])
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
         """Find the start of a path, or the three most frequent reasons why there is none.
@@ -109,7 +108,8 @@ class StartFinder:
         start has the distance at which the search ended.
         """
         refused: Counter[str] = Counter()
-        for posture in islice(self._postures(approach, seed), _MAX_POSTURES):
+        postures = copy(self._postures(replace(approach, offset=0.0), seed))
+        for posture in islice(postures, _MAX_POSTURES):
             try:
                 p_ee, q_m = self._slide_to_distance(approach, *posture, distance)
                 if approach.kind == "wheel_axis":
@@ -124,29 +124,21 @@ class StartFinder:
         reasons = (f"{flaw} ({count} tries)" for flaw, count in flaws[:3])
         return Start(approach, reason="; ".join(reasons))
 
-    def _postures(self, approach: Approach, seed: int) -> Iterator[_Posture]:
-        """Postures for a path; paths that differ only in `offset` share them."""
-        key = replace(approach, offset=0.0), seed
-        if key != self._searched:
-            self._searched, self._flaws = key, Counter()
-            self._found = self._search(approach, seed, self._flaws)
-        self._found, postures = tee(self._found)  # stores the found postures for the next path
-        return postures
+    def _search(self, approach: Approach, seed: int) -> Iterator[tuple[Array, Array]]:
+        """Search for postures outside all buffers.
 
-    def _search(self, approach: Approach, seed: int, flaws: Counter[str]) -> Iterator[_Posture]:
-        """Search for postures outside all buffers; `flaws` counts the failed tries by reason."""
+        This yields the end-effector's origin (3,) [m] and the joint positions (n_m,).
+        """
         places = [self._place(approach, gap) for gap in _GAPS]
         reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
-        if len(reached) < len(places):
-            flaws[OUT_OF_REACH] = len(places) - len(reached)
+        missed = len(places) - len(reached)
+        self._flaws = Counter({OUT_OF_REACH: missed} if missed else {})
         for (turn, k), p_ee in product(_SEARCHES, reached):
             try:
                 how = {"turn": math.radians(turn), "tries": _TRIES}
-                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, **how)
+                yield p_ee, self._solver.solve(point_of(p_ee), seed=seed + k, **how)
             except UnreachableError as error:
-                flaws.update(error.flaws)
-                continue
-            yield p_ee, q_m
+                self._flaws.update(error.flaws)
 
     def _place(self, approach: Approach, gap: float) -> Array:
         """(3,) [m] position of the end-effector at a gap [m] from the base's outline or top."""
