@@ -1,7 +1,7 @@
 """The report of a run, as a self-contained page."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from itertools import cycle
 from typing import Any
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from app.config import Config, tunables
 from app.errors import DbbError
+from app.jobs.progress import OnProgress
 from app.robot.description import load_robot
 from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.metrics import extremes, metrics, verdict
@@ -25,17 +26,13 @@ from app.studies.runs import flattened, plain
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
 """Colours of the pairs without a colour in `PAIR_COLOURS`, repeated if there are more pairs."""
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
-
 _UNKNOWN = ("duration_us", "force_bound_n", "buffer_needed_m", "buffer_needed_max_m")
 """Columns that can have NaN or infinite values in a complete log, besides the optional ones."""
 _LISTED = 5  # [-] largest number of listed columns
 
 
-def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
-
-    `on_progress` gets the finished share of the pictures, 0 to 1.
-    """
+def run_report(run: Trace, on_progress: OnProgress = lambda _: None) -> str:
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters."""
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
@@ -56,7 +53,13 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
         for k, each in enumerate(_PICTURES.values()):
             on_progress(k / len(_PICTURES))
             parts.append(Part(each.title, each.name, [each.caption], style.png_of(each.draw(run))))
-    parts.append(_changes(run))
+    changes = [
+        (path, tunables()[path].unit.removeprefix("-"), _value(usual), _value(had))
+        for path, usual, had in config_changes([s.config for s in run.snapshots])
+    ]
+    none = [] if changes else ["All parameters had the program's defaults."]
+    grid = Grid(("changed", "unit", "default", "here"), changes, numbers=True)
+    parts.append(Part("Parameters", "parameters", none, tables=[grid] if changes else []))
     meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
     robot = f"Robot {meta.robot}" + (f", plant {meta.physics}" if meta.physics else "")
     robot += "" if meta.seed is None else f", seed {meta.seed}"
@@ -74,10 +77,7 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The results of `extremes` and `metrics`; the latter have the keys of `dbb run --json`.
-
-    None replaces values that are not finite, which an edited log can have.
-    """
+    """The results of `extremes` and `metrics`; None replaces values that are not finite."""
     run = _without_infinite(run)
     return plain({**extremes(run), **metrics(run)})
 
@@ -89,22 +89,10 @@ def _without_infinite(run: Trace) -> Trace:
     return finite
 
 
-def _changes(run: Trace) -> Part:
-    rows = [
-        (path, tunables()[path].unit.removeprefix("-"), _value(usual), _value(had))
-        for path, usual, had in config_changes([s.config for s in run.snapshots])
-    ]
-    if not rows:
-        return Part("Parameters", "parameters", text=["All parameters had the program's defaults."])
-    head = ("changed", "unit", "default", "here")
-    return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
-
-
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """The parameters that differ from the program's defaults in at least one configuration.
+    """Path, default and value of each parameter that differs from the program's default.
 
-    For each, the result has the path, such as `border.d_b`, the default, and the value or, if the
-    configurations differ in it, the list of different values.
+    If the configurations have different values, the result has the list of these values.
     """
     had = {path: list(dict.fromkeys(c.value(path) for c in configs)) for path in tunables()}
     return [

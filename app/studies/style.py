@@ -36,7 +36,6 @@ TARGET = "#D7263D"  # the target of the end-effector
 PATH = "#0072B2"  # the path of the base
 EE = "#009E73"  # the path of the end-effector
 SCORE_MAP = "viridis"  # low scores are dark, high scores are yellow
-
 WIDTH = 11.0  # [in] default width of a figure
 DPI = 150
 _RULES: dict[Any, Any] = {
@@ -136,12 +135,6 @@ def level(axes: Axes, value: float, text: str) -> None:
 
 def marker_style(colour: str, marker: str = "o", size: float = 9.0) -> dict[str, Any]:
     """Keyword arguments of `plot` for a point that is visible on any background."""
-    return {
-        "color": colour,
-        "marker": marker,
-        "markersize": size,
-        "markeredgecolor": "white",
-        "markeredgewidth": 1.2,
-        "linestyle": "none",
-        "zorder": 6,
-    }
+    look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": size}
+    edge = {"markeredgecolor": "white", "markeredgewidth": 1.2}
+    return look | edge | {"linestyle": "none", "zorder": 6}

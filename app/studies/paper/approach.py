@@ -21,7 +21,6 @@ from app.studies.paper.experiments import Sources
 
 _TRACKED = {"dbb": paper.TRACKING, "repulsive": paper.TRACKING_REPULSIVE}
 DIRECTIONS = paper.GUIDING["dbb"]
-
 _TIMES = (0.0, 10.0, 20.0, 30.0)  # [s] times of the snapshots of tracking
 _SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] times of the snapshots of guiding, as shares of the run
 _VIEWS = {"lateral": (0.85, 0.45), "front": (0.70, 0.45)}  # [rad] yaw and pitch of the camera

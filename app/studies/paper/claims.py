@@ -63,10 +63,7 @@ class Finding(NamedTuple):
 
 
 def compare(text: str, key: str, value: float | None, **bounds: Threshold) -> Finding:
-    """Compare a number with `low`, `high` or both; a missing or infinite number violates them.
-
-    The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
-    """
+    """Compare a number with `low`, `high` or both; a missing or infinite number violates them."""
     low, high, limits = bounds.get("low"), bounds.get("high"), tuple(bounds.values())
     required = f"at {'least' if low else 'most'} {limits[0]}"
     if low and high:

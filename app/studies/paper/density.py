@@ -184,10 +184,7 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table by times t (N,) [s]: p_b, p_act, ẍ_m of (16), and the last step of p_act.
-
-    The step is the distance from p_act of the row before, NaN in the first row.
-    """
+    """A table by times t (N,) [s]: p_b, p_act, last step of p_act (NaN at first), ẍ_m of (16)."""
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]

@@ -22,7 +22,6 @@ _ENTERS = 1e-9  # [-] β of a newly inserted row
 _SMALLEST = 1e-9  # smallest drawn number, because the axis is logarithmic
 _FAR = 1.0  # [m] distance of an unreachable target
 _LINE, _HALVINGS = 100, 20  # [-] number of postures on a line, and of halvings of a step
-
 Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 """A function that computes q̈ (n,) from a control step, the diagonal of B (k,) [-] and the gains."""
 _OF_RUNS = (

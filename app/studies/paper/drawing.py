@@ -1,10 +1,9 @@
 """The figures of the paper: their files, and parts that several figures have in common."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -31,16 +30,14 @@ _COLUMNS = 4  # [-] number of snapshots in a row
 _PIXELS = 460, 420  # width and height of a snapshot
 _TALL = 1.35  # [m] height of the visible part of objects; higher parts may be outside the picture
 _GRID, _AROUND = 0.25, 2.0  # [m] spacing of the lines on the floor, half of their length
-_CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
 
 
-@dataclass(frozen=True)
-class Drawing:
+class Drawing(NamedTuple):
     """A reproduced figure of the paper."""
 
     figure: Figure
     tables: dict[str, Table]  # the plotted data, by the suffix of the CSV file's name or ""
-    measured: dict[str, Any] = field(default_factory=dict)
+    measured: Mapping[str, Any]
     """Measured numbers by key, or one such mapping for each case; keys end in the unit."""
     remarks: Sequence[str] = ()
 
@@ -110,19 +107,15 @@ def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0)
 
 
 def framed(
-    camera: Camera,
-    meshes: Iterable[trimesh.Trimesh],
-    points: Iterable[Array] = (),
-    tallest: float = np.inf,
+    camera: Camera, meshes: list[trimesh.Trimesh], points: Iterable[Array] = (), top: float = np.inf
 ) -> Camera:
-    """The camera, moved to show meshes and points, (N, 3) each, up to the height `tallest` [m]."""
+    """The camera, moved to show meshes and points, (N, 3) each, up to the height `top` [m]."""
     shown = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
-    shown[:, 2] = np.minimum(shown[:, 2], tallest)
+    shown[:, 2] = np.minimum(shown[:, 2], top)
     return camera._replace(target=shown.mean(axis=0)).framing(shown, 0.05)
 
 
-@dataclass(frozen=True)
-class Strip:
+class Strip(NamedTuple):
     """A row of snapshots of one run, with the paths of base and end-effector."""
 
     name: str  # name of the run in the CSV file
@@ -200,8 +193,9 @@ def _panel(
     if strip.marks is not None:
         _on_floor(ax, picture, strip.marks, color=style.TARGET, linewidth=1.6, linestyle=":")
     centre = np.column_stack([poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
+    casing = [patheffects.withStroke(linewidth=3.6, foreground="white")]
     for points, colour in ((centre, style.PATH), (run.of("p_ee")[past], style.EE)):
-        line = {"color": colour, "linewidth": 2.2, "path_effects": _CASING, "zorder": 4}
+        line = {"color": colour, "linewidth": 2.2, "path_effects": casing, "zorder": 4}
         ax.plot(*picture.pixels(points).T, **line)
     ax.plot(*picture.pixels(centre[-1:]).T, **style.marker_style(style.PATH, size=5))
     if strip.aim is not None:

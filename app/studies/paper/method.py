@@ -43,19 +43,16 @@ def figure_3(sources: Sources) -> drawing.Drawing:
     measured: dict[str, Any] = {"buffer_distance_m": config.d_b, "tolerance_m": config.eps}
     figure = style.new_figure(7.6)
     for k, pair in enumerate(sources.data.pairs.mobile, start=1):
-        cloud, border = sources.data.clouds[pair.name], sources.border_of(pair)
-        measured[pair.name] = {"points_P": len(cloud), "points_DBB": len(border)}
-        for kind, letter, points, place, alpha in (
-            ("P", "a", cloud.points_m, k, 0.25),
-            ("DBB", "b", border.points, k + 2, 0.5),
-        ):
+        sets = {"P": sources.data.clouds[pair.name].points_m, "DBB": sources.border_of(pair).points}
+        measured[pair.name] = {f"points_{kind}": len(points) for kind, points in sets.items()}
+        for (kind, points), row, alpha in zip(sets.items(), (0, 1), (0.25, 0.5), strict=True):
             part = drawing.points_table(points[_some(len(points), rng)])
             parts[f"{kind} {pair.name}"] = part
-            ax = figure.add_subplot(2, 2, place, projection="3d")
+            ax = figure.add_subplot(2, 2, 2 * row + k, projection="3d")
             _view(ax, sources.model, next(iter(parts.values())), 1.05)
             _scatter(ax, part, color=style.PAIR_COLOURS[pair.name], alpha=alpha)
             text = rf"$\mathcal{{{kind}}}_i$ of {style.PAIR_NAMES[pair.name]}"
-            style.panel_title(ax, f"{letter}{k}", text)
+            style.panel_title(ax, f"{'ab'[row]}{k}", text)
     remark = f"The picture and the CSV have at most {_SHOWN} points of each set."
     return drawing.Drawing(figure, {"": drawing.stacked(parts, "set")}, measured, [remark])
 
@@ -76,20 +73,19 @@ def figure_5(sources: Sources) -> drawing.Drawing:
     }
     table = drawing.points_table(points) | values
     labels = (r"$\det(J_c J_c^T)$ [m⁴/rad⁴]", r"$\mathcal{R}$ [–]", r"$\mathcal{S}$ [m⁴/rad⁴]")
-    figure = style.new_figure(4.8)
-    for k, (column, label) in enumerate(zip(values, labels, strict=True)):
-        ax = figure.add_subplot(1, 3, k + 1, projection="3d")
+    figure, grid = style.new_panels(4.8, 1, 3, subplot_kw={"projection": "3d"})
+    for ax, letter, (column, value), label in zip(grid, "abc", values.items(), labels, strict=True):
         _view(ax, sources.model, table, 0.9)
-        shown = _scatter(ax, table, c=table[column], cmap=style.SCORE_MAP)
-        style.panel_title(ax, "abc"[k], ("determinant", "reachability", "score")[k])
+        shown = _scatter(ax, table, c=value, cmap=style.SCORE_MAP)
+        style.panel_title(ax, letter, column.partition("_")[0])
         bar = figure.colorbar(shown, ax=ax, label=label, orientation="horizontal", shrink=0.75)
         bar.ax.locator_params(nbins=4)
-    best = points[int(values["score_m4prad4"].argmax())]
+    score = values["score_m4prad4"]
     measured = {
         "points": len(border),
         "determinant_max_m4prad4": float(values["determinant_m4prad4"].max()),
-        "score_max_m4prad4": float(values["score_m4prad4"].max()),
-        "best_point_m": best.tolist(),
+        "score_max_m4prad4": float(score.max()),
+        "best_point_m": points[int(score.argmax())].tolist(),
     }
     return drawing.Drawing(figure, {"": table}, measured)
 
@@ -130,7 +126,7 @@ def figure_6(sources: Sources) -> drawing.Drawing:
         "fit": fit.at(rho),
         "paper": field.C - field.A * (rho - field.B) ** 2,
     }
-    _draw_fit(curve, fit_table, fit.rho_min_m, fit.rho_max_m)
+    _draw_fit(curve, fit_table, (rho >= fit.rho_min_m) & (rho <= fit.rho_max_m))
     fitted = {key: getattr(fit, key) for key in ("A_per_m2", "B_m", "C", "r_squared", "rms")}
     return drawing.Drawing(
         figure,
@@ -155,13 +151,13 @@ def _smoothed(reach_map: maps.ReachMap) -> Array:
     return values[at] / inside[at]
 
 
-def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:
-    mean, rho = table["reachability_mean"], table["rho_m"]
+def _draw_fit(ax: Any, table: drawing.Table, fitted: Array) -> None:
+    """Draw (9); `fitted` (N,) marks the rows of the table whose distances the fit includes."""
+    mean, rho, colours = table["reachability_mean"], table["rho_m"], style.METHOD_COLOURS
     ax.plot(rho, mean, "o", color="#52606D", markersize=4, label="mean over shells")
-    inside = (rho >= low) & (rho <= high)
-    fitted, printed = style.METHOD_COLOURS["dbb"], style.METHOD_COLOURS["repulsive"]
-    ax.plot(rho[inside], table["fit"][inside], color=fitted, label="fit of (9)")
-    ax.plot(rho, table["paper"], "--", color=printed, label="(9) with the paper's A, B, C")
+    ax.plot(rho[fitted], table["fit"][fitted], color=colours["dbb"], label="fit of (9)")
+    text = "(9) with the paper's A, B, C"
+    ax.plot(rho, table["paper"], "--", color=colours["repulsive"], label=text)
     ax.set(xlabel=r"distance from the mount $\rho$ [m]", ylabel="reachability [–]")
     ax.set(xlim=(0.0, None), ylim=(0.0, 1.25 * float(np.nanmax(mean))))
     ax.legend(fontsize=8, loc="upper right")
@@ -221,14 +217,9 @@ class Force(NamedTuple):
     def measured(self) -> dict[str, float]:
         """Distance, step size α, and magnitudes of the force and of its components."""
         f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
-        return {
-            "distance_m": self.closest.d,
-            "alpha_m": self.acting.alpha,
-            "force_n": f,
-            "force_along_line_n": along,
-            "force_tangential_n": across,
-            "share_along_line": along / max(f, 1e-9),
-        }
+        found = {"distance_m": self.closest.d, "alpha_m": self.acting.alpha, "force_n": f}
+        parts = {"force_along_line_n": along, "force_tangential_n": across}
+        return {**found, **parts, "share_along_line": along / max(f, 1e-9)}
 
 
 def force_at(

@@ -53,7 +53,6 @@ SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
 more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
 of the angle from the base's heading, on both sides."""
-
 _TRIES = 600  # [-] largest number of positions that are drawn for a case
 _IN_SECTOR = 60  # [-] number of positions after which the sector is drawn again
 _GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
@@ -64,7 +63,7 @@ _ALONG = 0.15  # [-] probability of a pull along the base
 _ALONG_ANGLE = math.radians(45.0)  # [rad] largest turn of a pull along the base towards the base
 _LOWEST = 0.05  # [m] smallest height of targets in the base, and of ends of pulls along the base
 _LENGTH = 0.15, 0.60  # [m] length of a pull along the base; the upper end also limits other pulls
-_REST = 1.0  # [s] time of the run after the pull, when a collision is still possible
+_REST = 1.0  # [s] longest rest after the pull, when a collision is still possible
 _PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
 _RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
 _LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
@@ -220,20 +219,17 @@ def _draw_pull(
 ) -> tuple[Array, bool, float, float]:
     """Draw the displacement (3,) [m] of a pull, and whether the pull is along the base.
 
-    The other results are the duration [s] of the run, and the pull's share of it. A pull along the
-    base is perpendicular to the line to the target, or turned by up to 45° towards the target, and
-    ends above the floor. Other pulls end at the target or after 0.6 m. `speed` [m/s] is the largest
-    speed of the hand. The rest after the pull takes 1 s, but at most a quarter of `longest` [s]. If
-    the run would take longer than `longest`, the displacement is shortened.
+    Other results: the duration [s] of the run, at most `longest`, and the pull's share of it.
+    `speed` [m/s] is the largest speed of the hand.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
     across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
     o, move = start.outwards, start.aim - start.p
-    if along:
+    if along:  # perpendicular to the line to the target, or turned by `turn` towards the target
         across -= (across @ o) * o
         move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
         move[2] = max(move[2], _LOWEST - start.p[2])
-    else:
+    else:  # it ends at the target or earlier
         move = move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move)))
     rest = min(_REST, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed

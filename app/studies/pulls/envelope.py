@@ -17,11 +17,9 @@ from app.studies.pulls.parameters import PARAMETERS, Interval, StudyRange
 from app.studies.runs import Row
 
 STATED = Path(__file__).with_name("envelope.toml")  # the envelope that the project states
-
 MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a case against it
 FORCE = "hand_force_clear_max_n"  # largest force until two bodies were first nearer than `NEAR`
 _CONFIDENCE = 0.95  # [-] confidence of the bound of a failure rate
-
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
 
@@ -46,10 +44,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             raise StudyError(f"{STATED}: the envelope cannot be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """A study's ranges, limited to the envelope; the range of `hand_f_max` is limited to F*.
-
-        A range that is completely outside raises a StudyError.
-        """
+        """Ranges within the envelope, `hand_f_max` up to F*; a StudyError if one is outside."""
         found = {}
         for name, (lower, upper) in (self._intervals() | {"hand_f_max": (0.0, self.force)}).items():
             low, high = getattr(ranges, name)
@@ -101,10 +96,7 @@ def tally(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of the even cases inside an envelope fitted to the odd cases, and vice versa.
-
-    In an envelope that is fitted to the same cases no case would have failed.
-    """
+    """The tally of the even cases inside an envelope fitted to the odd cases, and vice versa."""
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
     for fitted, others in (halves, halves[::-1]):

@@ -16,7 +16,6 @@ from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
 Interval = tuple[float, float]  # smallest and largest value, which may be equal
-
 FAULTS = {
     "sensor_delay": "lag",
     "sensor_period": "repeated",
@@ -39,9 +38,7 @@ PARAMETERS = {
     **{name: f"disturbance.{name}" for name in FAULTS},
 }
 """Paths of the parameters in the configuration that have random values, by the quantity's name."""
-
 LOGARITHMIC = ("hand_stiffness",)  # quantities whose logarithm is uniformly distributed
-
 Probability = Annotated[float, (0.0, 1.0, "")]
 
 
@@ -50,8 +47,7 @@ class StudyRange(Strict):
 
     The distribution in an interval is uniform, for `LOGARITHMIC` on a logarithmic scale. `height`
     only bounds the random starts. A single number is a probability or, for `duration`, a limit.
-    Annotations of quantities that are not in `PARAMETERS` contain the smallest valid value, the
-    largest valid value, and the unit.
+    Annotations have the range and unit of the quantities that are not in `PARAMETERS`.
     """
 
     speed: Annotated[Interval, (0.01, 1.5, "m/s")] = (0.1, 1.2)

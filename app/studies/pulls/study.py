@@ -4,8 +4,6 @@ A journal stores the result of each case during the study. The cases run in proc
 machine, or on the workers of a running dask scheduler.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -13,7 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from app.errors import StudyError
 from app.jobs.bounded import SMALL
@@ -27,9 +25,7 @@ from app.studies.pulls.parameters import StudyParameters, code_digest
 from app.studies.runs import Row, write_json, write_rows
 from app.system import claim, write_whole
 
-if TYPE_CHECKING:
-    from distributed import Client
-
+Task = Callable[..., Any]
 _AT_ONCE = 1000  # number of cases that are sent to the workers together, to limit the memory
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
 _PATIENCE = 10.0  # [s] timeout of the connection to a scheduler
@@ -104,9 +100,7 @@ def _lost_row(parameters: StudyParameters, number: int) -> Row:
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
-    """Write all files of a study, and remove files of cases that no longer fail; return the content
-    of `study.json`.
-    """
+    """Write all files of a study, and return the content of `study.json`."""
     from app.studies.pulls.report import PICTURES, report_html, summary_of
     from app.studies.style import png_of, styled
 
@@ -147,10 +141,7 @@ class Journal(AbstractContextManager["Journal"]):
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open or start the journal of the study with this identity in an existing folder.
-
-        If the folder has another study or damaged data, or is in use, this raises a StudyError.
-        """
+        """Open or start a journal; a StudyError if another study has or uses the folder."""
         self.rows: dict[int, Row] = {}  # by the number of the case
         self._file = (folder / _LINES).open("a+b")
         with ExitStack() as stack:
@@ -226,11 +217,11 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     return "; ".join(filter(None, parts))
 
 
-def _client(scheduler: str) -> Client:
-    """Connect to a dask scheduler at an address, such as `tls://10.0.0.7:8786`.
+def _client(scheduler: str) -> Any:
+    """Connect to the dask scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-    The certificates for `tls://` addresses come from dask's configuration. If no scheduler answers,
-    or if not all of its workers have the code of this process, this raises a StudyError.
+    If it does not answer, or if not all of its workers have the code of this process, this raises a
+    StudyError. The certificates for `tls://` addresses come from dask's configuration.
     """
     # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client
@@ -266,17 +257,11 @@ def _client(scheduler: str) -> Client:
 
 
 def _map(
-    client: Client,
-    make_context: Callable[[], Any],
-    function: Callable[..., Row],
-    jobs: Sequence[int],
-    *,
-    lost: Callable[[int], Row],
+    client: Any, make_context: Task, function: Task, jobs: Sequence[int], *, lost: Task
 ) -> Iterator[Row]:
     """As `Workers.map`, but yields the results in the order in which the jobs end.
 
-    Each job calls `make_context`, which caches the data that the jobs share. `lost` makes the
-    result of a job if its worker ended in each attempt.
+    Each job calls `make_context`, which caches the data that the jobs share.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
@@ -290,5 +275,5 @@ def _map(
             yield lost(jobs_of[future])
 
 
-def _run(function: Callable[..., Row], make_context: Callable[[], Any], job: int) -> Row:
+def _run(function: Task, make_context: Task, job: int) -> Row:
     return function(make_context(), job)

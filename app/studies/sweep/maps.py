@@ -18,7 +18,6 @@ from app.studies.style import INK, METHOD_NAMES, SOFT, TARGET, new_figure
 from app.studies.sweep.plan import CLEARANCE_LIMIT, ERROR_LIMIT
 
 Colour = tuple[float, float, float, float]
-
 _GOOD, _BAD = colormaps["Blues"], colormaps["YlOrRd"]
 _PALE, _DEEP = 0.45, 0.95  # [-] used range of a colour map
 _WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # colours in the legend
@@ -50,18 +49,12 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan at which the bar of a value ends.
-
-        If larger values are better, values below the limit have the limit's radius.
-        """
+        """[m] radius in plan at which the bar of a value ends, at least that of a lower limit."""
         shown = max(value, self.limit) if self.more_is_better else value
         return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
     def colour(self, value: float) -> Colour:
-        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit.
-
-        With an infinite limit, smaller values are darker.
-        """
+        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit."""
         at, limit = self.share(value), self.share(self.limit)
         good = value >= self.limit if self.more_is_better else value <= self.limit
         width = limit if good is not self.more_is_better else 1.0 - limit
@@ -106,11 +99,7 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 
 
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
-    """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
-
-    Each controller has a column of panels, one for each of `quantities`. The three panels of a
-    single controller are in a row.
-    """
+    """Draw the horizontal paths of a sweep at a height [m] and a speed [m/s], by direction."""
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
         for key in ("paths", "wheel_axis")
@@ -149,10 +138,7 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths that lead down onto the base at one speed [m/s], each as a square in plan.
-
-    The panels are as in `polar_map`.
-    """
+    """Draw the paths down onto the base at one speed [m/s], each as a square in plan."""
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
     columns = ([row[key] for row in [*rows, *no_start]] for key in ("place_x_m", "place_y_m"))
@@ -186,7 +172,10 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
 def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, Quantity, list[Row]]]]:
-    """Make panels of the height `panel` [in], each with a quantity and the rows of a controller."""
+    """Make panels of the height `panel` [in], each with a quantity and the rows of a controller.
+
+    Each controller has a column of panels; a single controller has a row.
+    """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
     wide, high = (3, 1) if single else (len(names), 3)

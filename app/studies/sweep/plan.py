@@ -26,7 +26,6 @@ Kind = Literal["side", "wheel_axis", "above"]
 
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b, the arm's point nearest to the base, at starts of paths along the wheel axis."""
-
 ERROR_LIMIT = 0.001  # [m] largest final error of a successful path
 CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a successful path
 CLEAR = 0.02  # [m] difference between the distance at the start and d_b, by default
@@ -85,10 +84,7 @@ def point_of(p: Array) -> Point:
 
 
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance from a point p [m] in a box to the surface of the box, along a unit vector.
-
-    All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
-    """
+    """[m] distance along a unit vector from a point p in a box to its surface, in 2D or 3D."""
     with np.errstate(divide="ignore", over="ignore"):
         distances = np.where(direction > 0.0, upper - p, lower - p) / direction
     return float(np.min(np.where(direction == 0.0, np.inf, distances)))
@@ -96,10 +92,7 @@ def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> flo
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep, and the conditions of the runs along them.
-
-    Annotations contain the smallest valid value, the largest valid value, and the unit.
-    """
+    """The paths of a sweep, and the conditions of the runs; annotations have the range and unit."""
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
@@ -182,16 +175,11 @@ class SweepPlan:
 
     def spec(self, start: Start, controller: str, speed: float) -> RunSpec:
         """The run from a start with a controller at a mean speed [m/s] of the end-effector."""
-        moving = self.length / speed
+        moving, path = self.length / speed, start.approach
+        total, move = moving + self.hold, point_of(self.length * path.inwards)
+        about = "the end-effector moves towards the base"
         line = StartedLine(
-            start.approach.name,
-            moving + self.hold,
-            "the end-effector moves towards the base",
-            self.mode,
-            start.p_ee,
-            point_of(self.length * start.approach.inwards),
-            moving / (moving + self.hold),
-            start.q_m,
+            path.name, total, about, self.mode, start.p_ee, move, moving / total, start.q_m
         )
         return RunSpec(self.robot, line, self.config, controller, self.physics, self.seed)
 

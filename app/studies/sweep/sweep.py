@@ -70,7 +70,6 @@ _FIRST = (
     "passed",
 )
 """First columns of `sweep.csv`."""
-
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 """[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
 _SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
@@ -125,10 +124,7 @@ class StartFinder:
         return Start(approach, reason="; ".join(reasons))
 
     def _search(self, approach: Approach, seed: int) -> Iterator[tuple[Array, Array]]:
-        """Search for postures outside all buffers.
-
-        This yields the end-effector's origin (3,) [m] and the joint positions (n_m,).
-        """
+        """Yield positions (3,) [m] of the end-effector, and postures (n_m,) outside all buffers."""
         places = [self._place(approach, gap) for gap in _GAPS]
         reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
         missed = len(places) - len(reached)
@@ -167,10 +163,10 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Find joint positions (n_m,) with p_b at the coordinate x [m]; the search starts at `q_m`.
+        """Joint positions (n_m,) with x of p_b at `x` [m], from `q_m` on, or an UnreachableError.
 
         p_b is the arm's closest point to the base; `p_ee` (3,) [m] is the end-effector's position
-        at `q_m`. If the search finds no such joint positions, it raises an UnreachableError.
+        at `q_m`.
         """
         smallest = np.inf
         for _ in range(_OFFSET_TRIES):
