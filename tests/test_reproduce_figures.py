@@ -174,7 +174,7 @@ def test_too_large_a_step_loses_the_component_along_the_line(drawn):
 
 
 def test_drawn_instant_has_the_least_distance(drawn, sources: Sources):
-    force = method.force_at(sources, LATERAL, method.deepest(sources))
+    force = method.force_at(sources, LATERAL, int(sources.distances(LATERAL).argmin()))
     d = sources.runs[LATERAL].trace["d_lm-lEE_m"]
     assert force.closest.d == pytest.approx(d.min(), abs=1e-9)
     height = drawn["fig8"].tables[""]["z_m"]
@@ -185,7 +185,7 @@ def test_instant_of_figure_7_shows_both_components(sources: Sources):
     def smaller(force: method.Force) -> float:
         return min(float(np.linalg.norm(v)) for v in force.components)
 
-    deepest = method.force_at(sources, LATERAL, method.deepest(sources))
+    deepest = method.force_at(sources, LATERAL, int(sources.distances(LATERAL).argmin()))
     assert smaller(method.turning(sources)) >= smaller(deepest) - 1.0 > 0.0
 
 

@@ -188,10 +188,9 @@ def plan_figure(run: Trace) -> Figure:
     end. Arrows show the base's heading, grey at the start.
     """
     figure, ax = style.new_panels(5.0)
-    for points, colour, text in (
-        (run.of("base_pose"), style.PATH, "base"),
-        (run.of("p_ee"), style.EE, "end-effector"),
-    ):
+    shown = ("base_pose", style.PATH, "base"), ("p_ee", style.EE, "end-effector")
+    for name, colour, text in shown:
+        points = run.of(name)
         ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
         ax.plot(*points[0, :2], **style.marker_style(colour, "s", 7.0))
         ax.plot(*points[-1, :2], **style.marker_style(colour))
@@ -202,8 +201,8 @@ def plan_figure(run: Trace) -> Figure:
         ax.annotate("", tip, (x, y), arrowprops=head)
     targets = np.array([s.hand_target for s in run.snapshots if s.hand_target is not None])
     if len(targets):
-        line = {"color": style.TARGET, "linewidth": 1.4, "label": "target of the pull"}
-        ax.plot(targets[:, 0], targets[:, 1], ":", **line)
+        x, y, *_ = targets.T
+        ax.plot(x, y, ":", color=style.TARGET, linewidth=1.4, label="target of the pull")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="x [m]", ylabel="y [m]")
     _legend_right(ax)

@@ -119,11 +119,6 @@ def panel_title(axes: Axes, letter: str, text: str) -> None:
     axes.set_title(title, y=0.97 if axes.name == "3d" else None)
 
 
-def time_axis(axes: Axes, duration: float) -> None:
-    """Limit the x axis to 0 to a duration [s], and label it as the time."""
-    axes.set(xlim=(0.0, duration), xlabel="time [s]")
-
-
 def level(axes: Axes, value: float, text: str) -> None:
     """Draw a dashed horizontal line at a value, with a text above its right end."""
     axes.axhline(value, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)

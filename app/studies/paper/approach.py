@@ -84,7 +84,7 @@ def figure_12(sources: Sources) -> drawing.Drawing:
         drawing.method_lines(ax, parts, "ee_error_m")
         ax.set_ylabel("position error [m]")
         style.panel_title(ax, letter, text)
-        style.time_axis(ax, paper.TRACKING.scenario.duration)
+        ax.set(xlim=(0.0, paper.TRACKING.scenario.duration), xlabel="time [s]")
     error, detail = grid[1]
     error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 does not touch the axis
     detail.set_yscale("log")
@@ -130,7 +130,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
             activation.plot(part["t_s"], part[f"beta_{pair}"], **line)
         _distance_panel(distance, sources, f"a{k + 1}", f"distances, {name} direction")
         style.panel_title(activation, f"b{k + 1}", f"activation, {name} direction")
-        style.time_axis(activation, DIRECTIONS[name].scenario.duration)
+        activation.set(xlim=(0.0, DIRECTIONS[name].scenario.duration), xlabel="time [s]")
     grid[0][1].set_ylabel("")
     grid[0][0].set_ylim(0.0, None)
     grid[1][0].set(ylabel=r"activation $\beta$ [–]", ylim=(-0.02, 1.02))
@@ -161,7 +161,7 @@ def figure_15(sources: Sources) -> drawing.Drawing:
             drawing.method_lines(ax, parts, column, linewidth=1.6)
             kind = column.partition("_")[0]
             style.panel_title(ax, f"{letter}{k + 1}", f"{kind}, {name} direction")
-        style.time_axis(grid[1][k], experiment.scenario.duration)
+        grid[1][k].set(xlim=(0.0, experiment.scenario.duration), xlabel="time [s]")
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
     _legend_below(figure, grid[0][0])
@@ -225,13 +225,8 @@ def figure_16(sources: Sources) -> drawing.Drawing:
             style.panel_title(ax, letter, text)
     body = door.superquadric(pin.SE3.Identity())
     sides = zip(("thickness", "width", "height"), door.size, body.semi_axes_m, strict=True)
-    measured = {
-        "door_width_m": door.width,
-        "hinge": door.hinge,
-        "hinge_friction_nm": door.friction,
-        "exponent_e1": body.e1,
-        "exponent_e2": body.e2,
-    }
+    measured = {"door_width_m": door.width, "hinge": door.hinge, "hinge_friction_nm": door.friction}
+    measured |= {"exponent_e1": body.e1, "exponent_e2": body.e2}
     table = drawing.table_of(("axis", "door_m", "semi_axis_m"), sides)
     remark = "The CSV has the door's sides and the semi-axes of its hyper-ellipsoid."
     return drawing.Drawing(figure, {"": table}, measured, [remark])
@@ -261,7 +256,7 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     figure, (distance, activation) = style.new_panels(3.6, 1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         drawing.method_lines(ax, dict(reversed(parts.items())), column)
-        style.time_axis(ax, paper.DOOR.scenario.duration)
+        ax.set(xlim=(0.0, paper.DOOR.scenario.duration), xlabel="time [s]")
     _distance_panel(distance, sources, "a", "distance between door and base")
     style.level(distance, 0.0, "contact")
     activation.set_ylabel(r"activation $\beta$ [–]")

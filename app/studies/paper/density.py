@@ -19,14 +19,10 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import GUIDING, LATERAL, Sources
 
 PAPERS_COUNT = 50_000  # [-] points of a border that the paper recommends
-COUNTS = (5_000, 10_000, 20_000, PAPERS_COUNT)
-"""Numbers of points of the thinned borders; the full border is added at the end."""
 FINER = 10  # [-] refinement of the path, which distinguishes a jump from a motion
 LONGEST = 4.0  # [s] longest path for the comparison of points and surface
 _COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
-_MIN_CHANGE = 1e-9  # [m] smallest drawn step, because the axis is logarithmic
-_MARGIN = 0.03  # [m] margin around the paths, seen from above
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 Points = TypeVar("Points", Border, Cloud)
 
@@ -68,7 +64,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
 def trade_off(sources: Sources) -> drawing.Table:
     """Results of `jump_and_cost` for each number of points and, last, for the surface."""
     path, whole = path_in_buffer(sources), len(sources.border)
-    counts = [n for n in COUNTS if n < whole] + [whole]
+    counts = [n for n in (5_000, 10_000, 20_000, PAPERS_COUNT) if n < whole] + [whole]
     finders = [("points", n, sources.finder(thinned(sources.border, n))) for n in counts]
     finders.append(("surface", whole, sources.finder()))
     rows = [(kind, n, *jump_and_cost(sources, finder, path)) for kind, n, finder in finders]
@@ -136,7 +132,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
         x, y = along["p_act_x_m"], along["p_act_y_m"]
         plan.plot(x, y, mark, markersize=4, linewidth=2.2, **look)
-        change = np.maximum(along["p_act_step_m"][1:], _MIN_CHANGE)
+        change = np.maximum(along["p_act_step_m"][1:], 1e-9)  # the axis is logarithmic
         steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
     drawing.base_in_plan(plan, sources.model)
     text = "closest point of the end-effector"
@@ -144,7 +140,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     smooth = found["surface"]
     plan.plot(smooth["p_b_x_m"], smooth["p_b_y_m"], color=style.PAIR_COLOURS["lm-lEE"], **line)
     x, y = (np.concatenate([smooth[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
-    drawing.square_around(plan, np.column_stack([x, y]), _MARGIN)
+    drawing.square_around(plan, np.column_stack([x, y]), 0.03)
     plan.legend(loc="upper right", fontsize=9)
     steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]", yscale="log")
     steps.set_xlim(*coarse[0][[0, -1]])

@@ -83,16 +83,11 @@ def base_corners(model: RobotModel) -> Array:
     return trimesh.bounds.corners([[*body.lower[:2], 0.0], body.upper])
 
 
-def plan_axes(ax: Axes) -> None:
-    """Label axes that show the base's frame from above, with equal scales."""
-    ax.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
-
-
 def base_in_plan(ax: Axes, model: RobotModel) -> None:
     """Draw the base and its wheel axis from above, in the base's frame."""
     ax.add_patch(Polygon(base_corners(model)[:4, :2], facecolor="#EEF1F4", edgecolor=style.SOFT))
     ax.axvline(0.0, color=style.SOFT, linewidth=1.0, linestyle=(0, (1, 2)), zorder=1)
-    plan_axes(ax)
+    ax.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
 
 
 def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:

@@ -32,8 +32,6 @@ ROBOT = "husky_panda"  # the paper's robot
 class Experiment(RunSpec):
     """A run of the paper's robot, as `dbb run` makes it."""
 
-    __slots__ = ()
-
     @classmethod
     def of(cls, scenario: str, controller: str, **line: Point) -> Self:
         """The run of a scenario; `start` and `move` (3,) [m] replace those of a line."""

@@ -114,7 +114,7 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     style.panel_title(half, "a", "its left half")
     look: dict[str, Any] = {"cmap": style.SCORE_MAP, "s": 36, "marker": "s", "linewidth": 0}
     shown = cut.scatter(cut_table["x_m"], cut_table["y_m"], c=cut_table["reachability"], **look)
-    drawing.plan_axes(cut)
+    cut.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
     style.panel_title(cut, "b", "cut at the mount's height")
     figure.colorbar(shown, ax=cut, orientation="horizontal", label="reachability [–]", shrink=0.8)
     profile = radial_profile(reach_map.rho, reach_map.reach)
@@ -232,11 +232,6 @@ def force_at(
     return Force(float(run.t[k]), q_m, closest, *sources.force(sources.finder(), closest, config))
 
 
-def deepest(sources: Sources) -> int:
-    """Index of the row of the lateral guiding in which the end-effector is nearest to the base."""
-    return int(sources.distances(LATERAL).argmin())
-
-
 def turning(sources: Sources) -> Force:
     """Of the forces in each 20th row of WHEEL_AXIS inside the buffer, the force whose smaller
     component is largest.
@@ -290,7 +285,8 @@ def figure_8(sources: Sources) -> drawing.Drawing:
     (b) If the step is too large, the acting point can be so far away that the force has no
     component along the line between the end-effector and the border. Therefore the step is bounded.
     """
-    configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
+    configs = {"chosen": sources.config.force, "too large": TOO_LARGE}
+    k = int(sources.distances(LATERAL).argmin())
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
     table = _slice(sources, found["chosen"])
     figure, grid = style.new_panels(5.4, 1, 2, sharex=True, sharey=True)
@@ -319,8 +315,8 @@ def figure_10(sources: Sources) -> drawing.Drawing:
     ax.plot(table["d_m"], table["beta"], color=style.METHOD_COLOURS["dbb"], linewidth=2.4)
     for at, text in ((d_full, "task fully active"), (d_b, "buffer distance $d_b$")):
         ax.axvline(at, color=style.SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
-        place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "rotation": 90}
-        ax.annotate(text, (at, 0.5), va="center", fontsize=9, color="#616E7C", **place)
+        look: dict[str, Any] = {"va": "center", "fontsize": 9, "color": "#616E7C", "rotation": 90}
+        ax.annotate(text, (at, 0.5), xytext=(4, 0), textcoords="offset points", **look)
     ax.set(xlim=(0.0, 0.2), ylim=(-0.02, 1.05), xlabel="distance of the pair [m]")
     ax.set_ylabel(r"activation $\beta$ [–]")
     slope = 1.5 / rise_length(d_b, d_full)

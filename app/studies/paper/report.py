@@ -16,11 +16,7 @@ from app.studies.runs import write_json
 from app.studies.style import Picture, pictures_in, styled
 from app.system import write_whole
 
-FIGURES = {
-    name: figure
-    for module in (method, approach, density, departures)
-    for name, figure in pictures_in(vars(module)).items()
-}
+FIGURES = pictures_in(vars(method) | vars(approach) | vars(density) | vars(departures))
 """The figures in the order of the paper, by their names."""
 _DRAWING = 5.0  # [s] simulated time whose computation takes about as long as drawing a figure
 

@@ -19,7 +19,6 @@ from app.studies.runs import Row
 STATED = Path(__file__).with_name("envelope.toml")  # the envelope that the project states
 MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a case against it
 FORCE = "hand_force_clear_max_n"  # largest force until two bodies were first nearer than `NEAR`
-_CONFIDENCE = 0.95  # [-] confidence of the bound of a failure rate
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
 
@@ -91,8 +90,8 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
 def tally(rows: Sequence[Row]) -> dict[str, Any]:
     """Number of cases, number of failed cases, and the upper 95 % bound of the share that fails."""
     failures = sum(map(failed, rows))
-    bound = rate_bound(failures, len(rows))
-    return {"cases": len(rows), "failed": failures, "rate_bound_95": bound}
+    cases = len(rows)
+    return {"cases": cases, "failed": failures, "rate_bound_95": rate_bound(failures, cases)}
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
@@ -110,7 +109,7 @@ def rate_bound(failures: int, cases: int) -> float:
 
     if failures >= cases:
         return 1.0
-    return float(beta.ppf(_CONFIDENCE, failures + 1, cases - failures))
+    return float(beta.ppf(0.95, failures + 1, cases - failures))
 
 
 def as_toml(envelope: Envelope, source: Mapping[str, Any]) -> str:

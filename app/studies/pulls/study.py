@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from app.errors import StudyError
 from app.jobs.bounded import SMALL
@@ -27,9 +27,8 @@ from app.system import claim, write_whole
 
 Task = Callable[..., Any]
 _AT_ONCE = 1000  # number of cases that are sent to the workers together, to limit the memory
-_LINES, _HEAD = "cases.jsonl", "parameters.json"
 _PATIENCE = 10.0  # [s] timeout of the connection to a scheduler
-_WORKERS_PATIENCE = 30.0  # [s] time to wait for the scheduler's first worker
+_LINES, _HEAD = "cases.jsonl", "parameters.json"
 
 
 def study(
@@ -237,11 +236,11 @@ def _client(scheduler: str) -> Any:
             "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
         ) from None
     with ExitStack() as stack:
-        stack.enter_context(client)  # closes it after an error
+        stack.callback(client.close)  # after an error
         with suppress(TimeoutError):
-            client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
+            client.wait_for_workers(1, timeout=30.0)
         try:
-            digests = cast(dict[str, str], client.run(code_digest)) if client.nthreads() else {}
+            digests = client.run(code_digest) if client.nthreads() else {}
         except ImportError as error:
             raise StudyError(f"--scheduler: a worker of {scheduler} lacks {error.name}") from None
         if not digests:

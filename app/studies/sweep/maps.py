@@ -68,33 +68,20 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
     The scale of the distance ends at the largest distance at a start, and that of the time at the
     longest time, both rounded up.
     """
-    times = [row["time_s"] for row in rows if row["time_s"] is not None]
-    longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
+    known = [row["time_s"] for row in rows if row["time_s"] is not None]
+    longest = 5.0 * math.ceil(max(known, default=5.0) / 5.0)
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
-    distances = CLEARANCE_LIMIT, widest / 2, widest
+    errors = (1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")
+    gaps = tuple((gap, f"{gap:.3g} m") for gap in (CLEARANCE_LIMIT, widest / 2, widest))
+    times = (longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")
+    log, root = LogNorm(1e-6, 0.3, clip=True), PowerNorm(0.5, 0.0, widest, clip=True)
+    linear = Normalize(0.0, longest, clip=True)
     return (
+        Quantity("ee_error_final_m", "final error of the end-effector", log, ERROR_LIMIT, errors),
         Quantity(
-            "ee_error_final_m",
-            "final error of the end-effector",
-            LogNorm(1e-6, 0.3, clip=True),
-            ERROR_LIMIT,
-            ((1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")),
+            "min_clearance_m", "smallest distance to the base", root, CLEARANCE_LIMIT, gaps, True
         ),
-        Quantity(
-            "min_clearance_m",
-            "smallest distance to the base",
-            PowerNorm(0.5, 0.0, widest, clip=True),
-            CLEARANCE_LIMIT,
-            tuple((distance, f"{distance:.3g} m") for distance in distances),
-            more_is_better=True,
-        ),
-        Quantity(
-            "time_s",
-            "time until the error is within 1 mm",
-            Normalize(0.0, longest, clip=True),
-            math.inf,
-            ((longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")),
-        ),
+        Quantity("time_s", "time until the error is within 1 mm", linear, math.inf, times),
     )
 
 

@@ -29,8 +29,6 @@ AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 ERROR_LIMIT = 0.001  # [m] largest final error of a successful path
 CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a successful path
 CLEAR = 0.02  # [m] difference between the distance at the start and d_b, by default
-_MIN_CLEAR = 0.005  # [m] smallest valid difference
-_FARTHEST = 0.5  # [m] largest valid distance between arm and base at the start
 OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
 """Options of `dbb sweep` whose names differ from the field of `SweepPlan`."""
 
@@ -64,10 +62,8 @@ class Approach:
         """The path as a text, such as `from 35°, height 0.3 m`."""
         if self.kind == "above":
             return "from above at ({:g}, {:g}) m".format(*self.place)
-        text = f"from {self.direction_deg:g}°, height {self.height:g} m"
-        if self.kind == "wheel_axis":
-            text += f", p_b at x = {1000 * self.offset:g} mm"
-        return text
+        at = f", p_b at x = {1000 * self.offset:g} mm" if self.kind == "wheel_axis" else ""
+        return f"from {self.direction_deg:g}°, height {self.height:g} m{at}"
 
     def where(self) -> dict[str, object]:
         """The fields that distinguish this path from others of its kind; keys end in the unit."""
@@ -139,8 +135,8 @@ class SweepPlan:
             if not getattr(self, name):
                 raise ConfigError(f"--{option}: needs one or several values")
         if self.start_distance is not None:
-            smallest = self.config.border.d_b + _MIN_CLEAR
-            check_range("--start-distance", self.start_distance, smallest, _FARTHEST, "m")
+            smallest = self.config.border.d_b + 0.005
+            check_range("--start-distance", self.start_distance, smallest, 0.5, "m")
         if abs(360.0 / self.step - round(360.0 / self.step)) > 1e-9:
             raise ConfigError(f"--step: 360° is not a multiple of {self.step:g}°")
 

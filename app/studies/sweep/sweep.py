@@ -75,14 +75,7 @@ _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 _SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
 """[deg] horizontal angle of the end-effector from the outward direction, and a number that is added
 to the seed; preferred first."""
-_TRIES = 4  # [-] starting points of a search for each pitch of the end-effector
 _MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
-_SLIDE = 0.02  # [m] first step of the end-effector towards the desired distance
-_FARTHEST_SLIDE = 0.25  # [m] sum of these steps after which no further step is made
-_DISTANCE_TOLERANCE = 1e-4  # [m] tolerance of the distance at the start
-_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of the x coordinate of p_b
-_OFFSET_TRIES = 40  # [-] largest number of corrections of p_b
-_SMALL_OFFSET = 1e-4  # [m] error of p_b below which joint steps replace the search for postures
 
 
 class StartFinder:
@@ -131,7 +124,7 @@ class StartFinder:
         self._flaws = Counter({OUT_OF_REACH: missed} if missed else {})
         for (turn, k), p_ee in product(_SEARCHES, reached):
             try:
-                how = {"turn": math.radians(turn), "tries": _TRIES}
+                how = {"turn": math.radians(turn), "tries": 4}
                 yield p_ee, self._solver.solve(point_of(p_ee), seed=seed + k, **how)
             except UnreachableError as error:
                 self._flaws.update(error.flaws)
@@ -148,10 +141,10 @@ class StartFinder:
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move the end-effector (3,) [m] and the joints (n_m,) towards the desired distance [m]."""
+        """Move end-effector (3,) [m] and joints (n_m,) towards a distance [m], by about 0.25 m."""
         excess = self._closest(q_m).d - distance
-        step, moved, small = np.sign(excess) * _SLIDE, 0.0, _DISTANCE_TOLERANCE
-        while abs(excess) > small and abs(step) > small / 8 and moved <= _FARTHEST_SLIDE:
+        step, moved, small = np.sign(excess) * 0.02, 0.0, 1e-4  # [m]; `small` is the tolerance
+        while abs(excess) > small and abs(step) > small / 8 and moved <= 0.25:
             p_new = p_ee + step * approach.inwards
             with suppress(UnreachableError):
                 q_new = self._solver.slide(point_of(p_new), q_m)
@@ -163,19 +156,19 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Joint positions (n_m,) with x of p_b at `x` [m], from `q_m` on, or an UnreachableError.
+        """Joint positions (n_m,) for which p_b, the arm's point closest to the base, has x [m].
 
-        p_b is the arm's closest point to the base; `p_ee` (3,) [m] is the end-effector's position
-        at `q_m`.
+        `p_ee` (3,) [m] and `q_m` are the start of the search; without success it raises an
+        UnreachableError.
         """
         smallest = np.inf
-        for _ in range(_OFFSET_TRIES):
+        for _ in range(40):
             closest = self._closest(q_m)
             error = float(closest.p_b[0]) - x
-            if abs(error) < _OFFSET_TOLERANCE:
+            if abs(error) < 1e-7:
                 return q_m
             smallest = min(smallest, abs(error))
-            if abs(error) > _SMALL_OFFSET:  # shift the end-effector along the base's x axis
+            if abs(error) > 1e-4:  # shift the end-effector along the base's x axis
                 p_ee = p_ee - [error, 0.0, 0.0]
                 q_m = self._solver.slide(point_of(p_ee), q_m)
             else:  # the smallest joint step, which is finer than the search for postures
@@ -196,8 +189,7 @@ class StartFinder:
 def load(robot: str, d_b: float) -> StartFinder:
     """The `StartFinder` of a robot for a buffer distance `d_b` [m], cached in each process."""
     model = RobotModel(load_robot(robot))
-    data = load_border_data(model, progress=False)
-    return StartFinder(model, data, d_b)
+    return StartFinder(model, load_border_data(model, progress=False), d_b)
 
 
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
