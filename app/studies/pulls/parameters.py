@@ -103,13 +103,14 @@ class StudyRange(Strict):
         """Raise a `ConfigError` that names the option of `dbb study` and its valid values."""
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
-            bounds = next(iter(type(self).model_fields[name].metadata), None)
-            if bounds is None:
+            if name in PARAMETERS:
                 known = parameter(PARAMETERS[name])
-                bounds = known.low, known.high, known.unit.removeprefix("-")
+                low, high, unit = known.low, known.high, known.unit.removeprefix("-")
+            else:
+                ((low, high, unit),) = type(self).model_fields[name].metadata
             ends = value if isinstance(value, tuple) else (value,)
             for end in ends:
-                check_range(option, end, *bounds)
+                check_range(option, end, low, high, unit)
             if ends[0] > ends[-1]:
                 raise ConfigError(f"{option}: LOW {ends[0]:g} is above HIGH {ends[-1]:g}")
         return self
