@@ -1,7 +1,4 @@
-"""A case of a study: the random draw, the run, and the row of a table with both.
-
-The end-effector starts on a ray from a target point in the base, in any direction of the sphere.
-"""
+"""A case of a study: the random draw, the run, and the row of a table with both."""
 
 import math
 import re
@@ -54,20 +51,11 @@ SECTORS = ("front", "front corner", "side", "back", "above", "below")
 more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
 of the angle from the base's heading, on both sides."""
 _TRIES = 600  # [-] largest number of positions that are drawn for a case
-_IN_SECTOR = 60  # [-] number of positions after which the sector is drawn again
-_GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
-_INNER = 0.9  # [-] part of the base's length and width that contains the targets
 _ABOVE, _BELOW = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
 _EDGES = {"front": 30.0, "front corner": 60.0, "side": 120.0}  # [deg] largest angle from the front
-_ALONG = 0.15  # [-] probability of a pull along the base
-_ALONG_ANGLE = math.radians(45.0)  # [rad] largest turn of a pull along the base towards the base
 _LOWEST = 0.05  # [m] smallest height of targets in the base, and of ends of pulls along the base
 _LENGTH = 0.15, 0.60  # [m] length of a pull along the base; the upper end also limits other pulls
-_REST = 1.0  # [s] longest rest after the pull, when a collision is still possible
-_PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
-_RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
 _LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
-_FREE = 0.1, 0.9  # [-] time from release to new grasp: range as a share of the time after the pull
 
 
 class StudySources(NamedTuple):
@@ -83,17 +71,12 @@ class StudySources(NamedTuple):
 
 
 class Start(NamedTuple):
-    """The start of a case, in the base's frame."""
+    """The start of a case, on a ray from a point in the base; in the base's frame."""
 
     sector: str  # one of `SECTORS`
     p: Array  # (3,) [m] position of the end-effector
     aim: Array  # (3,) [m] target point inside the base
-
-    @property
-    def outwards(self) -> Array:
-        """(3,) unit vector from the target to the end-effector."""
-        ray = self.p - self.aim
-        return ray / np.linalg.norm(ray)
+    outwards: Array  # (3,) unit vector from the target to the end-effector
 
 
 @cache
@@ -135,7 +118,7 @@ def draw_start(
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
     sector = ""
     for redraws in range(_TRIES):
-        if redraws % _IN_SECTOR == 0:
+        if redraws % 60 == 0:  # a sector can be out of reach
             sector = SECTORS[rng.integers(len(SECTORS))]
         start, seed = place(sector, sources, rng), int(rng.integers(2**32))
         distance = float(np.linalg.norm(start.p - sources.shoulder))
@@ -153,15 +136,16 @@ def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start
     """Choose a random start of the end-effector in a sector; it can be out of the arm's reach."""
     lower, upper = sources.lower, sources.upper
     middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
-    plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
+    plan = middle + 0.9 * half * rng.uniform(-1, 1, 2)  # in 90 % of the base's length and width
     aim = np.array([*plan, rng.uniform(_LOWEST, float(upper[2]))])
     while True:
         outwards = rng.standard_normal(3)
         outwards /= np.linalg.norm(outwards)
         if sector_of(outwards) == sector:
             break
-    distance = exit_distance(aim, outwards, lower, upper) + rng.uniform(*_GAP)
-    return Start(sector, aim + distance * outwards, aim)
+    distance = exit_distance(aim, outwards, lower, upper) + rng.uniform(0.22, 0.50)  # [m]
+    p = aim + distance * outwards
+    return Start(sector, p, aim, (p - aim) / np.linalg.norm(p - aim))
 
 
 def sector_of(direction: Array) -> str:
@@ -179,8 +163,9 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     """Draw the random quantities of a case, by the columns of the study's table.
 
     They depend only on the parameters and the number, because a case has its own random streams. A
-    case has at most three faults; absent faults have the parameters' defaults. If the arm reaches
-    no start in the range of heights, this raises a StudyError.
+    release is after 30 to 100 % of the pull, and a new grasp is before the end of the run. A case
+    has at most three faults; absent faults have the parameters' defaults. If the arm reaches no
+    start in the range of heights, this raises a StudyError.
     """
     rng, others = (
         np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=key))
@@ -192,8 +177,8 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along, duration, moving = _draw_pull(start, drawn["speed"], ranges.duration, rng)
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
-    release_at = duration * moving * rng.uniform(*_RELEASE)
-    regrasp_at = release_at + duration * (1.0 - moving) * rng.uniform(*_FREE)
+    release_at = duration * moving * rng.uniform(0.3, 1.0)
+    regrasp_at = release_at + duration * (1.0 - moving) * rng.uniform(0.1, 0.9)
     drawn |= {"duration": duration, "moving": moving}
     drawn["release_at"] = release_at if released else None
     drawn["regrasp_at"] = regrasp_at if released and regrasped else None
@@ -222,8 +207,8 @@ def _draw_pull(
     Other results: the duration [s] of the run, at most `longest`, and the pull's share of it.
     `speed` [m/s] is the largest speed of the hand.
     """
-    length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
-    across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
+    length, along = rng.uniform(*_LENGTH), rng.random() < 0.15
+    across, turn = rng.standard_normal(3), rng.uniform(0, math.radians(45.0))
     o, move = start.outwards, start.aim - start.p
     if along:  # perpendicular to the line to the target, or turned by `turn` towards the target
         across -= (across @ o) * o
@@ -231,8 +216,8 @@ def _draw_pull(
         move[2] = max(move[2], _LOWEST - start.p[2])
     else:  # it ends at the target or earlier
         move = move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move)))
-    rest = min(_REST, longest / 4)
-    pulling = _PEAK * float(np.linalg.norm(move)) / speed
+    rest = min(1.0, longest / 4)  # [s] a collision is still possible
+    pulling = 1.5 * float(np.linalg.norm(move)) / speed  # the cubic's peak is 1.5 times its mean
     if pulling > longest - rest:
         move = move * ((longest - rest) / pulling)
         pulling = longest - rest

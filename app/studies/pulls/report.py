@@ -288,7 +288,6 @@ def report_html(
         "the probability of a new grasp after a release is "
         f"{_percent(parameters.ranges.regrasped)}.{inside}"
     )
-    title = f"{summary['cases']:,} random pulls, {parameters.controller}"
     verdict, forces = outcome(summary)
     both = [envelope.model_dump(), Envelope.stated().model_dump()]
     body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
@@ -302,7 +301,7 @@ def report_html(
         _counted("Faults and their reports", "fault", summary["faults"]),
         _failures(rows),
     ]
-    return page_html(title, lead, parts)
+    return page_html(f"{summary['cases']:,} random pulls, {parameters.controller}", lead, parts)
 
 
 def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:

@@ -1,8 +1,4 @@
-"""A study: it runs the missing cases, and writes table, failures, summary, envelope and report.
-
-A journal stores the result of each case during the study. The cases run in processes of this
-machine, or on the workers of a running dask scheduler.
-"""
+"""A study: it runs the missing cases, and writes table, failures, summary, envelope and report."""
 
 import json
 import logging

@@ -28,7 +28,6 @@ _INNER, _OUTER = 0.80, 1.60  # [m] radii in plan of the bars' scale, which surro
 _MIN_BAR = 0.06  # [-] smallest length of a bar, relative to the scale
 _AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [m] radius, [deg] angle between dots for the wheel axis
 _AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # order of the dots by |x| of p_b [m]
-_EDGE = 1.98  # [m] radius in plan of a panel
 _PANEL = 3.35  # [in] side of a panel
 _MARKS_AT = 132.0  # [deg] direction of the texts of the scale, diagonally behind the base
 _DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
@@ -216,7 +215,7 @@ def _scale(ax: Any, quantity: Quantity) -> None:
     ax.set_axisbelow(False)
     ax.tick_params(pad=-6)
     ax.spines["polar"].set_visible(False)
-    ax.set_rlim(0.0, _EDGE)
+    ax.set_rlim(0.0, 1.98)
     halo = patheffects.withStroke(linewidth=2.5, foreground="white")
     lines, labels = ax.yaxis.get_gridlines(), ax.get_yticklabels()
     for (value, _), line, label in zip(quantity.marks, lines, labels, strict=False):

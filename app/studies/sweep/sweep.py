@@ -285,7 +285,6 @@ def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]
 def _summary(starts: list[Start], rows: list[Row]) -> Row:
     """Numbers of runs by their result, sums, and worst and median values; None without a value."""
     unreachable = sum(bool(start.reason) for start in starts)
-    contacts, arm_contacts = ([row[k] for row in rows] for k in ("contacts", "arm_contacts"))
 
     def extreme(choose: Any, key: str) -> float | None:
         values = [row[key] for row in rows if row[key] is not None]
@@ -299,10 +298,10 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
         "ee_error_max_m": extreme(max, "ee_error_max_m"),
         "min_clearance_m": extreme(min, "min_clearance_m"),
         "arm_min_clearance_m": extreme(min, "arm_min_clearance_m"),
-        "runs_with_contact": sum(count > 0 for count in contacts),
-        "runs_with_arm_contact": sum(count > 0 for count in arm_contacts),
-        "contacts": sum(contacts),
-        "arm_contacts": sum(arm_contacts),
+        "runs_with_contact": sum(row["contacts"] > 0 for row in rows),
+        "runs_with_arm_contact": sum(row["arm_contacts"] > 0 for row in rows),
+        "contacts": sum(row["contacts"] for row in rows),
+        "arm_contacts": sum(row["arm_contacts"] for row in rows),
         "never_arrived": sum(row["time_s"] is None for row in rows),
         "time_max_s": extreme(max, "time_s"),
         "base_displacement_max_m": extreme(max, "base_displacement_m"),
