@@ -81,9 +81,6 @@ def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
     return np.concatenate([qdd_b, qdd_a])
 
 
-SOLVERS = (printed, here)
-
-
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
     """The diagonal of B (k,): `base` in the base's rows, `link` for the `pair` of L_m^c, else 0."""
     B = np.zeros(len(w.B))
@@ -108,7 +105,7 @@ def _of_states(sources: Sources) -> Iterator[tuple[Any, ...]]:
         w = step_at_rest(controller, q_m)
         pair = int(np.argmin(w.d[w.n_mob : len(w.pairs)]))  # the nearest pair of L_m^c
         absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, 1e-9))
-        changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
+        changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in (printed, here)]
         enters.append([float(np.abs(w.M[w.n_b :] @ change).max()) for change in changes])  # [N m]
         w, n_b = step_at_rest(controller, q_m, 0.001), w.n_b
         inserted = here(w, np.zeros(len(w.B)), gains)[n_b:]
@@ -116,7 +113,7 @@ def _of_states(sources: Sources) -> Iterator[tuple[Any, ...]]:
         left.append([left_as_printed(w, gains), float(np.linalg.norm(change))])
     w = step_at_rest(controller, postures(sources)[0], 1.0)
     demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
-    jumps = [jump(sources, controller, solve) for solve in SOLVERS]
+    jumps = [jump(sources, controller, solve) for solve in (printed, here)]
     yield "(26) strict levels", "jump_radps2", *jumps
     yield "(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *demands
     yield "(29) reference on the left", "off_at_zero_radps2", *np.max(left, axis=0).tolist()

@@ -25,7 +25,6 @@ from app.system import write_whole
 
 Table = dict[str, Array]
 """The data of a figure: columns of equal length, whose names end in the unit."""
-
 _COLUMNS = 4  # [-] number of snapshots in a row
 _PIXELS = 460, 420  # width and height of a snapshot
 _TALL = 1.35  # [m] height of the visible part of objects; higher parts may be outside the picture

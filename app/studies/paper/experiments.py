@@ -76,7 +76,6 @@ AS_PRINTED = tuple(e._replace(controller="hqp") for e in (TRACKING, PAST_BASE, L
 """Runs of the controller as printed in the paper."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
-
 Runs = dict[Experiment, RunResult]
 Named = dict[str, Experiment]
 

@@ -24,7 +24,6 @@ from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sourc
 
 TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4})
 """Parameters with which the step size α is always 0.4 m, the largest valid bound."""
-
 _ZOOM = 0.30  # [m] smallest side of the square around the points of Algorithm 3
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 _SHOWN = 12_000  # [-] largest number of points in a picture; more points would hide each other

@@ -78,8 +78,7 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
     the smallest force of a bad case or, if this is smaller, the largest force of the other cases;
     F* is rounded down to 1 N. Without other cases, F* is 0.
     """
-    good: list[float] = []
-    bad: list[float] = []
+    good, bad = list[float](), list[float]()
     for row in rows:
         (bad if failed(row) or entered_buffer(row, NEAR) else good).append(exerted(row))
     safe = min(MARGIN * min(bad, default=math.inf), max(good, default=0.0))

@@ -17,7 +17,6 @@ from app.studies.runs import Row
 from app.studies.style import INK, METHOD_NAMES, SOFT, TARGET, new_figure
 from app.studies.sweep.plan import CLEARANCE_LIMIT, ERROR_LIMIT
 
-Colour = tuple[float, float, float, float]
 _GOOD, _BAD = colormaps["Blues"], colormaps["YlOrRd"]
 _PALE, _DEEP = 0.45, 0.95  # [-] used range of a colour map
 _WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # colours in the legend
@@ -30,7 +29,6 @@ _AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [m] radius, [deg] angle between dots for
 _AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # order of the dots by |x| of p_b [m]
 _PANEL = 3.35  # [in] side of a panel
 _MARKS_AT = 132.0  # [deg] direction of the texts of the scale, diagonally behind the base
-_DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
 class Quantity(NamedTuple):
@@ -52,7 +50,7 @@ class Quantity(NamedTuple):
         shown = max(value, self.limit) if self.more_is_better else value
         return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
-    def colour(self, value: float) -> Colour:
+    def colour(self, value: float) -> tuple[float, float, float, float]:
         """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit."""
         at, limit = self.share(value), self.share(self.limit)
         good = value >= self.limit if self.more_is_better else value <= self.limit
@@ -200,7 +198,7 @@ def _base(
     place = {"transform": style.pop("transform", ax.transData)}
     line = {"edgecolor": INK, "linewidth": 1.2, "zorder": 3, "label": "base"}
     ax.add_patch(Rectangle((left, low), width, height, **line, **style, **place))
-    ax.plot([0, 0], axis, color=INK, linewidth=0.9, linestyle=_DOTTED, zorder=5, **place)
+    ax.plot([0, 0], axis, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), zorder=5, **place)
     ax.add_patch(Circle((x, y), mount, color=SOFT, zorder=4, **place))
 
 
@@ -221,7 +219,7 @@ def _scale(ax: Any, quantity: Quantity) -> None:
     for (value, _), line, label in zip(quantity.marks, lines, labels, strict=False):
         label.set(path_effects=[halo], zorder=8)
         if value == quantity.limit:
-            line.set(color=TARGET, linewidth=1.4, linestyle=_DASHED)
+            line.set(color=TARGET, linewidth=1.4, linestyle=(0, (4, 2)))
             label.set_color(TARGET)
 
 

@@ -75,7 +75,6 @@ _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 _SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
 """[deg] horizontal angle of the end-effector from the outward direction, and a number that is added
 to the seed; preferred first."""
-_MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
 
 
 class StartFinder:
@@ -97,11 +96,11 @@ class StartFinder:
         """Find the start of a path, or the three most frequent reasons why there is none.
 
         If the arm cannot reach the desired `distance` [m] from the base on the path's line, the
-        start has the distance at which the search ended.
+        start has the distance at which the search ended. At most six postures are tried.
         """
         refused: Counter[str] = Counter()
         postures = copy(self._postures(replace(approach, offset=0.0), seed))
-        for posture in islice(postures, _MAX_POSTURES):
+        for posture in islice(postures, 6):
             try:
                 p_ee, q_m = self._slide_to_distance(approach, *posture, distance)
                 if approach.kind == "wheel_axis":
