@@ -180,7 +180,7 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table by times t (N,) [s]: p_b, p_act, last step of p_act (NaN at first), ẍ_m of (16)."""
+    """A table by times t (N,) [s]: p_b, p_act, step of p_act from the last row, ẍ_m of (16)."""
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]

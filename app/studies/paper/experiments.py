@@ -122,7 +122,7 @@ class Sources:
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
-        """Acting point and force (3,) [N] by `force` or `config.force`, in the base's frame."""
+        """Acting point and force (3,) [N], in the base's frame; `force` replaces `config.force`."""
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
         assert acting is not None  # the paper's robot has a border at every height in the buffer

@@ -118,7 +118,7 @@ def draw_start(
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
     sector = ""
     for redraws in range(_TRIES):
-        if redraws % 60 == 0:  # a sector can be out of reach
+        if redraws % 60 == 0:  # a sector can be out of reach: draw another one
             sector = SECTORS[rng.integers(len(SECTORS))]
         start, seed = place(sector, sources, rng), int(rng.integers(2**32))
         distance = float(np.linalg.norm(start.p - sources.shoulder))
@@ -210,13 +210,13 @@ def _draw_pull(
     length, along = rng.uniform(*_LENGTH), rng.random() < 0.15
     across, turn = rng.standard_normal(3), rng.uniform(0, math.radians(45.0))
     o, move = start.outwards, start.aim - start.p
-    if along:  # perpendicular to the line to the target, or turned by `turn` towards the target
+    if along:  # perpendicular to the line to the target, turned by `turn` towards the target
         across -= (across @ o) * o
         move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
         move[2] = max(move[2], _LOWEST - start.p[2])
-    else:  # it ends at the target or earlier
+    else:  # the pull ends at the target, or after 0.6 m
         move = move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move)))
-    rest = min(1.0, longest / 4)  # [s] a collision is still possible
+    rest = min(1.0, longest / 4)  # [s] collisions are still possible
     pulling = 1.5 * float(np.linalg.norm(move)) / speed  # the cubic's peak is 1.5 times its mean
     if pulling > longest - rest:
         move = move * ((longest - rest) / pulling)

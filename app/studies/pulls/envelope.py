@@ -43,7 +43,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             raise StudyError(f"{STATED}: the envelope cannot be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """Ranges within the envelope, `hand_f_max` up to F*; a StudyError if one is outside."""
+        """Limit ranges to the envelope, `hand_f_max` to F*; a range outside raises a StudyError."""
         found = {}
         for name, (lower, upper) in (self._intervals() | {"hand_f_max": (0.0, self.force)}).items():
             low, high = getattr(ranges, name)

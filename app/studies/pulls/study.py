@@ -136,7 +136,10 @@ class Journal(AbstractContextManager["Journal"]):
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open or start a journal; a StudyError if another study has or uses the folder."""
+        """Open or start the journal of the study with this identity in an existing folder.
+
+        If the folder has another study or damaged data, or is in use, this raises a StudyError.
+        """
         self.rows: dict[int, Row] = {}  # by the number of the case
         self._file = (folder / _LINES).open("a+b")
         with ExitStack() as stack:

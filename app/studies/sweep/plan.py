@@ -80,7 +80,7 @@ def point_of(p: Array) -> Point:
 
 
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance along a unit vector from a point p in a box to its surface, in 2D or 3D."""
+    """[m] distance along a unit vector from a point p in a box to the box's surface, 2D or 3D."""
     with np.errstate(divide="ignore", over="ignore"):
         distances = np.where(direction > 0.0, upper - p, lower - p) / direction
     return float(np.min(np.where(direction == 0.0, np.inf, distances)))
@@ -88,7 +88,7 @@ def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> flo
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep, and the conditions of the runs; annotations have the range and unit."""
+    """The paths of a sweep, and the conditions of the runs; annotations have ranges and units."""
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""

@@ -140,10 +140,10 @@ class StartFinder:
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move end-effector (3,) [m] and joints (n_m,) towards a distance [m], by about 0.25 m."""
+        """Move end-effector (3,) [m] and joints (n_m,) towards the desired distance [m]."""
         excess = self._closest(q_m).d - distance
         step, moved, small = np.sign(excess) * 0.02, 0.0, 1e-4  # [m]; `small` is the tolerance
-        while abs(excess) > small and abs(step) > small / 8 and moved <= 0.25:
+        while abs(excess) > small and abs(step) > small / 8 and moved <= 0.25:  # [m]
             p_new = p_ee + step * approach.inwards
             with suppress(UnreachableError):
                 q_new = self._solver.slide(point_of(p_new), q_m)
@@ -155,7 +155,7 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Joint positions (n_m,) for which p_b, the arm's point closest to the base, has x [m].
+        """Joint positions (n_m,) with p_b, the arm's point closest to the base, at `x` [m].
 
         `p_ee` (3,) [m] and `q_m` are the start of the search; without success it raises an
         UnreachableError.
