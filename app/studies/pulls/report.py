@@ -133,10 +133,9 @@ def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[Row
 
 
 def _reported(rows: Rows, name: str) -> dict[str, int]:
-    """Count the cases with a fault, with a report of it, and with a report at most 0.2 s later.
-
-    A fault begins at the control step nearest to `fault_at_s`; `stated_period` begins at 0. Earlier
-    reports do not count.
+    """Count the cases with a fault, with a report of it, and with a report at most 0.2 s later. A
+    fault begins at the control step nearest to `fault_at_s`, `stated_period` at 0. Earlier reports
+    do not count.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]

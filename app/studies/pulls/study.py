@@ -257,9 +257,8 @@ def _client(scheduler: str) -> Any:
 def _map(
     client: Any, make_context: Task, function: Task, jobs: Sequence[int], *, lost: Task
 ) -> Iterator[Row]:
-    """As `Workers.map`, but yields the results in the order in which the jobs end.
-
-    Each job calls `make_context`, which caches the data that the jobs share.
+    """As `Workers.map`, but yields the results in the order in which the jobs end. Each job calls
+    `make_context`, which caches the data that the jobs share.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker

@@ -46,7 +46,7 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan at which the bar of a value ends, at least that of a lower limit."""
+        """[m] radius in plan of the end of a bar; at least the limit's, if larger is better."""
         shown = max(value, self.limit) if self.more_is_better else value
         return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
@@ -157,7 +157,6 @@ def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, Quantity, list[Row]]]]:
     """Make panels of the height `panel` [in], each with a quantity and the rows of a controller.
-
     Each controller has a column of panels; a single controller has a row.
     """
     single, shown = len(names) == 1, quantities(rows)
