@@ -202,9 +202,9 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 def _draw_pull(
     start: Start, speed: float, longest: float, rng: np.random.Generator
 ) -> tuple[Array, bool, float, float]:
-    """Draw the displacement (3,) [m] of a pull, and whether the pull is along the base. The others
-    are the duration [s] of the run, at most `longest`, and the pull's share of it. `speed` [m/s] is
-    the largest speed of the hand.
+    """Draw a pull: its displacement (3,) [m], whether it is along the base, the duration [s] of the
+    run, at most `longest`, and the pull's share of the run. `speed` [m/s] is the largest speed of
+    the hand.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < 0.15
     across, turn = rng.standard_normal(3), rng.uniform(0, math.radians(45.0))
