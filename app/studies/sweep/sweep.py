@@ -155,8 +155,9 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Joint positions (n_m,) with p_b, the arm's point closest to the base, at `x` [m], or an
-        UnreachableError. The search starts at `q_m`, with the end-effector at `p_ee` (3,) [m].
+        """Joint positions (n_m,) at which x of p_b, the arm's closest point, is `x` [m].
+        The search starts at `q_m`, with the end-effector at `p_ee` (3,) [m]; without success it
+        raises an UnreachableError.
         """
         smallest = np.inf
         for _ in range(40):
