@@ -30,18 +30,10 @@ def begin(
     """Make a session at the start of a setting; `robot` is the robot without a held door. This
     raises a TargetError if the posture is invalid, and the errors of `Session`.
     """
-    check_posture(setting.model, setting.q_m)  # before the plant loads
-    session = Session(
-        setting.model,
-        setting.data,
-        setting.config,
-        controller=controller,
-        physics=physics,
-        seed=seed,
-        plant=robot,
-        door=setting.door,
-    )
-    session.reset(setting.q_m, setting.base_pose)
+    model, data, base_pose, q_m, config, door = setting
+    check_posture(model, q_m)  # before the plant loads
+    session = Session(model, data, config, controller, physics, seed, plant=robot, door=door)
+    session.reset(q_m, base_pose)
     return session
 
 

@@ -53,9 +53,9 @@ def make_physics(
             "without pybullet"
         )
     if kind in ("planar", "mujoco"):
-        from app.simulation.plants.planar import planar_plant
+        from app.simulation.plants.planar import Planar
 
-        return planar_plant("pybullet" if kind == "planar" else "mujoco", model, dt=dt, door=door)
+        return Planar("pybullet" if kind == "planar" else "mujoco", model, dt=dt, door=door)
     if kind == "mujoco-contact":
         from app.robot.bases.differential import DifferentialBase
 

@@ -13,7 +13,7 @@ from app.robot.model import RobotModel
 from app.robot.urdf import origin
 from app.simulation.plants.bullet_world import BulletWorld, pybullet
 from app.simulation.plants.collision_shapes import link_contact_pairs
-from app.simulation.plants.door import Cabinet, Door, OpenDoor
+from app.simulation.plants.door import Cabinet, Door, OpenDoor, T_link_ee
 from app.simulation.plants.interface import HeldDoor, Push, Wrench
 from app.strict import Array
 
@@ -36,7 +36,7 @@ class BulletRobot(BulletWorld):
         super().__init__(_plant_urdf(description), dt)
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
-        # pybullet's indices of the joints x, y and yaw, and of the arm's joints
+        # Indices ascend: pybullet numbers a joint before the joints that it moves.
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
@@ -86,14 +86,10 @@ class BulletRobot(BulletWorld):
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
         """The engine's mass matrix (3 + n_m, 3 + n_m) and bias forces (3 + n_m,) at q and v."""
-        order = np.argsort(np.argsort(self.moving))  # pybullet orders joints by their indices
-        ordered = np.empty((2, len(q)))
-        ordered[:, order] = q, v
-        q_own, v_own = ordered.tolist()
-        M = np.array(self.client.calculateMassMatrix(self.robot, q_own))
-        none = [0.0] * len(q)
-        h = np.array(self.client.calculateInverseDynamics(self.robot, q_own, v_own, none))
-        return M[np.ix_(order, order)], h[order]
+        at, speeds, none = q.tolist(), v.tolist(), [0.0] * len(q)
+        M = self.client.calculateMassMatrix(self.robot, at)
+        h = self.client.calculateInverseDynamics(self.robot, at, speeds, none)
+        return np.array(M), np.array(h)
 
     def _press(self, link: int, point: Sequence[float], force: Array) -> None:
         """Apply a force (3,) [N] in the world to a point (3,) [m] in the frame of a link."""
@@ -116,8 +112,7 @@ class BulletDoor(HeldDoor):
         self._robot = world.robot
         arm = model.description.arm
         self._tip = world.links[arm.end_effector_link]
-        turn = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
-        self._T_link_ee = pin.SE3(turn, np.array(arm.end_effector_xyz_m))
+        self._T_link_ee = T_link_ee(arm)
         self._grasp: int | None = None
         self._cabinet = cabinet = Cabinet(self.door)
         height = cabinet.T_world.translation[2]
@@ -128,9 +123,8 @@ class BulletDoor(HeldDoor):
         friction = {"targetVelocity": 0.0, "force": self.door.friction}
         client.setJointMotorControl2(self.body, _DOOR, pybullet.VELOCITY_CONTROL, **friction)
         covered = model.description.mobile_body.covers
-        touching = {world.links[name] for name in covered if name in world.links}
-        for link in world.links.values():
-            group = "door_base" if link in touching else None
+        for name, link in world.links.items():
+            group = "door_base" if name in covered else None
             world.allow((self._robot, link), (self.body, -1), None)
             world.allow((self._robot, link), (self.body, _DOOR), group)
 
@@ -148,14 +142,11 @@ class BulletDoor(HeldDoor):
         client.resetJointState(self.body, _DOOR, -self.door.side * self._start, 0.0)
         T_ee = self._tip_pose()
         links = (self._robot, self._tip), (self.body, _DOOR)
-        frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
+        # A constraint's frames are relative to the frames of the links' centres of mass.
+        poses = [self._link_pose(*link, 0).inverse() * T_ee for link in links]
+        places, turns = zip(*(np.split(pin.SE3ToXYZQUAT(T), [3]) for T in poses), strict=True)
         self._grasp = client.createConstraint(
-            *links[0],
-            *links[1],
-            pybullet.JOINT_FIXED,
-            [0, 0, 0],
-            *(frame[:3].tolist() for frame in frames),
-            *(frame[3:].tolist() for frame in frames),
+            *links[0], *links[1], pybullet.JOINT_FIXED, [0, 0, 0], *places, *turns
         )
         client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
@@ -170,14 +161,13 @@ class BulletDoor(HeldDoor):
         R = self._tip_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
-    def _com_pose(self, body: int, link: int) -> pin.SE3:
-        """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""
+    def _link_pose(self, body: int, link: int, field: int) -> pin.SE3:
+        """Pose of a link's centre of mass (`field` 0) or of its frame (`field` 4), in the world."""
         state = self._client.getLinkState(body, link, computeForwardKinematics=1)
-        return pin.XYZQUATToSE3([*state[0], *state[1]])
+        return pin.XYZQUATToSE3([*state[field], *state[field + 1]])
 
     def _tip_pose(self) -> pin.SE3:
-        link = self._client.getLinkState(self._robot, self._tip, computeForwardKinematics=1)
-        return pin.XYZQUATToSE3([*link[4], *link[5]]) * self._T_link_ee
+        return self._link_pose(self._robot, self._tip, 4) * self._T_link_ee
 
 
 def _plant_urdf(description: RobotDescription) -> str:

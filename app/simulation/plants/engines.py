@@ -9,7 +9,7 @@ import numpy as np
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.plants.planar import Planar, planar_plant
+from app.simulation.plants.planar import Planar
 from app.strict import Array
 
 SAME_DEPTH = 0.005
@@ -41,16 +41,15 @@ def compare_engines(
     `pictures` postures. This raises the errors of `make_physics`.
     """
     state, rng = RobotState(model), np.random.default_rng(seed)
-    picture = depth = 0.0
-    both = 0
-    bullet = planar_plant("pybullet", model)
-    with closing(bullet), closing(planar_plant("mujoco", model)) as mujoco:
+    picture, depth, both = 0.0, 0.0, 0
+    bullet = Planar("pybullet", model)
+    with closing(bullet), closing(Planar("mujoco", model)) as mujoco:
         plants = bullet, mujoco
         for k, q_m in enumerate(sample_joints(model, postures, rng)):
             base = np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)])
             for plant in plants:
                 plant.reset(base, q_m)
-            state.update(plants[0].measure())
+            state.update(bullet.measure())
             if k < pictures:
                 picture = max(picture, *(_picture(plants, base, side) for side in _SIDES))
             for plant in plants:
@@ -70,12 +69,11 @@ def _picture(plants: tuple[Planar, Planar], base: Array, side: tuple[float, ...]
     grid = np.linspace(-_HALF, _HALF, _PIXELS)
     begins = np.array([*base[:2], _MIDDLE]) - _FAR * forward
     begins = begins + np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2) @ across
-    way, (bullet, other) = 2 * _FAR * forward, plants
+    way, (bullet, mujoco) = 2 * _FAR * forward, plants
     one = bullet.world.seen(begins, begins + way)
     beside = [begins + _EDGE * (u * across[0] + v * across[1]) for u, v in _BESIDE]
-    others = np.array([other.world.seen(each, each + way) for each in beside])
-    nearest, farthest = others.min(axis=0), others.max(axis=0)
+    others = np.array([mujoco.world.seen(each, each + way) for each in beside])
     floor = -begins[:, 2] / forward[2] - _SAME_PLACE
     on_robot = (one < floor) | (others[0] < floor)
-    off = (one < nearest - _SAME_PLACE) | (one > farthest + _SAME_PLACE)
+    off = (one < others.min(axis=0) - _SAME_PLACE) | (one > others.max(axis=0) + _SAME_PLACE)
     return float((off & on_robot).sum() / on_robot.sum())

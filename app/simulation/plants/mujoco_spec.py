@@ -44,6 +44,9 @@ class RobotSpec:
         base's mass. Without `free_root`, motors along x, y and yaw move the root.
         """
         self.model, self._dt = model, dt
+        tool = model.pin.frames[model.ee_frame]
+        self.tip = model.pin.names[tool.parentJoint]  # name of the body that carries the tool
+        self.tool = tool.placement.translation.copy()  # (3,) [m] end-effector's origin in this body
         self.spec = _empty_spec(dt)
         self.pairs: dict[frozenset[str], str | None] = {}  # `group` of two geoms, as in `allow`
         self.motors: list[str] = []  # names of the joints that have a motor

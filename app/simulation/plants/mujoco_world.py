@@ -33,18 +33,17 @@ class MujocoWorld:
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
         self.q, self.v = self.data.qpos, self.data.qvel  # views that MuJoCo updates
-        source, arm = robot.model, robot.model.description.arm
-        first = model.joint(arm.joints[0])
-        self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
-        self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
+        source = robot.model
+        first = model.joint(source.description.arm.joints[0])
+        self.arm_q, self.arm_v = (
+            slice(int(begin), int(begin) + source.n_m) for begin in (*first.qposadr, *first.dofadr)
+        )
         self._planar_q = self.q[: self.arm_q.stop]
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         self._motors = [int(model.joint(name).dofadr[0]) for name in robot.motors]
         self._per_step = 1.0 / model.opt.timestep
-        tool = source.pin.frames[source.ee_frame]
-        self._tip = self._body_of[source.pin.names[tool.parentJoint]]
-        self._tool = tool.placement.translation.copy()
+        self._tip, self._tool = robot.tip, robot.tool
         ids = {model.geom(i).name: i for i in range(model.ngeom)}
         self._group = {}
         for pair, group in robot.pairs.items():
@@ -88,27 +87,21 @@ class MujocoWorld:
         data = self.data
         mujoco.mj_step1(self.model, data)
         # MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint.
-        # That of a motor is (speed - v) / dt. The solver starts from the accelerations with which
-        # the motors have their commanded speeds after the step; from the last step's solution it
-        # would need three iterations.
+        # That of a motor is (speed - v) / dt; the solver starts from it, because from the solution
+        # of the last step it would need three iterations.
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
         motors = data.efc_aref[row : row + len(self._motors)]
         motors += self._per_step * np.asarray(speeds)
         data.qacc_warmstart[self._motors] = motors
         data.qfrc_applied[self.arm_v] = u_a
         data.xfrc_applied[:] = 0.0
-        self._press(self._tip, self._tool, hand_force)
-        for push in pushes:
-            self._press(self._body_of[push.joint], push.p, push.force)
+        for name, point, force in (Push(self._tip, self._tool, hand_force), *pushes):
+            body, (fx, fy, fz) = self._body_of[name], np.asarray(force).tolist()
+            turned = (data.xmat[body].reshape(3, 3) * point).sum(axis=1)
+            x, y, z = (data.xpos[body] + turned - data.xipos[body]).tolist()
+            torque = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+            data.xfrc_applied[body] += (fx, fy, fz, *torque)
         mujoco.mj_step2(self.model, data)
-
-    def _press(self, body: int, point: Array, force: Array) -> None:
-        """Add a force (3,) [N], in the world, at a point (3,) [m] in a body's frame."""
-        data, (fx, fy, fz) = self.data, np.asarray(force).tolist()
-        turned = (data.xmat[body].reshape(3, 3) * point).sum(axis=1)
-        x, y, z = (data.xpos[body] + turned - data.xipos[body]).tolist()
-        torque = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
-        data.xfrc_applied[body] += (fx, fy, fz, *torque)
 
     def close(self) -> None:
         """Do nothing: the plant has no resources to release."""
@@ -147,10 +140,8 @@ class MujocoDoor(HeldDoor):
     def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:
         """Add the refrigerator to a specification that has all motors."""
         self.door, self._start = start
+        self._tip, self._tool = robot.tip, robot.tool
         self._cabinet = cabinet = Cabinet(self.door)
-        source = robot.model.pin
-        tool = source.frames[robot.model.ee_frame]
-        self._tip, self._tool = source.names[tool.parentJoint], tool.placement.translation.copy()
         box = mujoco.mjtGeom.mjGEOM_BOX
         body = robot.add_body(robot.spec.worldbody, _BODY, cabinet.T_world, cabinet.inertia)
         body.add_freejoint(name=_BODY)

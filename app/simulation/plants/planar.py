@@ -22,10 +22,26 @@ if TYPE_CHECKING:
 class Planar(Physics):
     """The plant whose base cannot tip; traction limits the motors of its joints x, y and yaw."""
 
-    def __init__(self, model: RobotModel, world: BulletRobot | MujocoWorld, dt: float) -> None:
-        """Start at rest in the ready posture; `world` has the robot in an engine."""
-        self.world, self.door, self.dt = world, world.door, dt
-        self._S = model.S
+    def __init__(
+        self,
+        engine: Literal["pybullet", "mujoco"],
+        model: RobotModel,
+        *,
+        dt: float = 0.001,
+        door: OpenDoor | None = None,
+    ) -> None:
+        """Load the robot into an engine; arguments, posture and errors as in `make_physics`."""
+        # Imported here, because each engine must work without the other engine's library.
+        if engine == "pybullet":
+            from app.simulation.plants.bullet_robot import BulletRobot
+
+            self.world: BulletRobot | MujocoWorld = BulletRobot(model, dt, door)
+        else:
+            from app.simulation.plants.mujoco_spec import RobotSpec
+            from app.simulation.plants.mujoco_world import MujocoWorld
+
+            self.world = MujocoWorld(RobotSpec(model, dt), door)
+        self.dt, self.door, self._S = dt, self.world.door, model.S
         base = model.description.base
         self._drive, self._T = Drive(base, dt), base.T
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
@@ -56,41 +72,20 @@ class Planar(Physics):
 
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
         """M (n, n) and C q̇ + g (n,) of (26) from the engine, at q_m and q̇, with the heading 0."""
-        S = self._S
-        v = S @ qd  # at heading 0 the axes of base and world coincide
+        S, v = self._S, self._S @ qd  # at heading 0 the axes of base and world coincide
         M, h = self.world.mass_and_bias(np.concatenate([np.zeros(3), q_m]), v)
         # The world's axes do not turn with the base: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
-        turning = np.zeros(len(v))
-        turning[0], turning[1] = -v[2] * v[1], v[2] * v[0]
+        turning = np.array([-v[2] * v[1], v[2] * v[0], *np.zeros(len(q_m) + 1)])
         return S.T @ M @ S, S.T @ (h + M @ turning)
 
     def close(self) -> None:
         self.world.close()
 
 
-def planar_plant(
-    engine: Literal["pybullet", "mujoco"],
-    model: RobotModel,
-    *,
-    dt: float = 0.001,
-    door: OpenDoor | None = None,
-) -> Planar:
-    """Make the planar plant with an engine, as in `make_physics`."""
-    # Imported here, because each engine must work without the other engine's library.
-    if engine == "pybullet":
-        from app.simulation.plants.bullet_robot import BulletRobot
-
-        return Planar(model, BulletRobot(model, dt, door), dt)
-    from app.simulation.plants.mujoco_spec import RobotSpec
-    from app.simulation.plants.mujoco_world import MujocoWorld
-
-    return Planar(model, MujocoWorld(RobotSpec(model, dt), door), dt)
-
-
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """The mean twist (3,) in the world during a step, for a constant twist in the base's frame.
-    Both are v_x, v_y [m/s] and ω [rad/s]. `heading` [rad] is the base's heading at the start of the
-    step of `dt` [s]; the mean uses the heading in the middle of the step.
+    """The base's `twist` during a step, v_x, v_y [m/s] and ω [rad/s], in the axes of the world at
+    the heading in the middle of the step. `twist` is constant in the base's frame, `heading` [rad]
+    the base's heading at the start of the step of `dt` [s].
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt

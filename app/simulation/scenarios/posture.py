@@ -22,8 +22,7 @@ _TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
 _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
 
 Judge = Callable[[Array], float | str]
-"""A function that judges a posture (n_m,): a quality [-] above zero if it is valid, larger is
-better; otherwise zero, a negative number, or the reason."""
+"""Quality [-] of a valid posture (n_m,), above zero; otherwise at most zero, or the reason."""
 
 
 class Target(NamedTuple):
@@ -42,10 +41,9 @@ class Found(NamedTuple):
 
 
 class PostureSearch:
-    """Tries postures of the arm and evaluates them."""
+    """Tries postures of the arm, and evaluates them for a buffer distance `d_b` [m]."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare the search for a robot, its link pairs and a buffer distance `d_b` [m]."""
         self.model, self.d_b = model, d_b
         self.state = RobotState(model)  # state in the last posture
         self.span = model.q_upper - model.q_lower
@@ -80,11 +78,9 @@ class PostureSearch:
         target: Target | pin.SE3 | None = None,
         enough: float = np.inf,
     ) -> Found:
-        """Find the posture with the highest quality.
-
-        `guesses` (n_m,) are the starting points of the search for the `target`; without a target,
-        the postures to judge. Before `judge` is called, the arm is placed into the posture.
-        `enough` [-] is the quality at which the search ends.
+        """Find the posture with the highest quality. `guesses` (n_m,) are starting points of the
+        search for the `target`, or without a target the postures themselves. The arm is placed into
+        each posture before `judge` is called. The search ends at the quality `enough` [-].
         """
         best = Found(None, 0.0, Counter())
         for guess in guesses:
@@ -121,15 +117,13 @@ class PostureSearch:
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
         """`place` the arm; return the end-effector's weighted error (k,) and its Jacobian (k, n_m).
-
-        For a pose, the error is the logarithm of the displacement in the end-effector's frame,
-        otherwise the error of the position and of the direction, if any.
+        The error from a pose is the logarithm of the displacement in the end-effector's frame; that
+        from a `Target` is the error of the position and of the direction, if any.
         """
         self.place(q_m)
         at, J = self.state.T_world_ee, self.J_ee
         if isinstance(target, pin.SE3):
-            error = pin.log6(at.actInv(target)).vector
-            R = at.rotation.T
+            error, R = pin.log6(at.actInv(target)).vector, at.rotation.T
             J = -pin.Jlog6(pin.exp6(-error)) @ np.vstack([R @ J[:3], R @ J[3:]])
             return _TO_TARGET * error, _TO_TARGET * J
         off = _TO_TARGET * (at.translation - target.p)
@@ -174,7 +168,7 @@ class PostureSearch:
         return "" if self.beyond_buffer() > margin else self.buffer_flaw()
 
     def buffer_flaw(self) -> str:
-        """The reason why the present posture is invalid: its nearest pair is inside its buffer."""
+        """The text that the nearest pair would be inside its buffer."""
         pair = self.names[int(np.argmin(self.distances()))]
         return f"{pair} would be inside its buffer of {self.d_b:g} m"
 
