@@ -76,9 +76,9 @@ class SimulationLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, *, stored: int = SNAPSHOTS_STORED
     ) -> None:
-        """Prepare the loop; `begin` or `start` starts it. `make_session` is called once, in the
-        loop's own thread, which also closes the session. The arm is at `q_start` (n_m,) [rad or m]
-        at the start, and after a `Reset` without a posture.
+        """Prepare the loop; `begin` or `start` starts it. The loop's thread calls `make_session`
+        once, and closes the session. The arm is at `q_start` (n_m,) [rad or m] at the start, and
+        after a `Reset` without a posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)
@@ -137,9 +137,8 @@ class SimulationLoop(LoopHandle):
         self._pacer.wait()
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
-        fields = self._loop_fields(ensemble)
-        fields["ghosts"] = tuple(ghost.reading() for ghost in ensemble.ghosts)
-        fields["scores"] = ensemble.scores()
+        ghosts = tuple(ghost.reading() for ghost in ensemble.ghosts)
+        fields = self._loop_fields(ensemble) | {"ghosts": ghosts, "scores": ensemble.scores()}
         self._history.add(make_snapshot(ensemble.main, step, self._pacer, **fields))
 
     def _loop_fields(self, ensemble: Ensemble) -> dict[str, Any]:
@@ -177,17 +176,16 @@ class SimulationLoop(LoopHandle):
             ensemble.main.controller.use(command.controller)
         elif isinstance(command, commands.Pause):
             self._paused = command.paused
-            self._pacer.restart()
         elif isinstance(command, commands.Watch):
             self._watched = command.watched
-            self._pacer.restart()
         elif isinstance(command, commands.Speed):
             self._pacer.speed = self._speed = command.factor
-            self._pacer.restart()
         elif isinstance(command, commands.StepOnce):
             self._step_once(command.seconds, ensemble)
         else:
             self._start_again(command, ensemble)
+        if isinstance(command, (commands.Pause, commands.Watch, commands.Speed)):
+            self._pacer.restart()
 
     def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
         """Pause, and step until `seconds` [s] after the newest snapshot; publish the last step."""

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from app.simulation.plants.interface import Physics
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
-
+MISSING = (
+    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
+    "Python (docs/install.md)"
+)
 _FORMERLY = {"contact": "mujoco-contact"}
 
 
@@ -34,9 +37,8 @@ def chosen_plant(name: str | None) -> str:
 def make_physics(
     kind: str | None, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
 ) -> Physics:
-    """Make the plant `kind` with steps of `dt` [s], at rest in the robot's ready posture.
-
-    If there is a `door`, the end-effector holds it, also after each reset.
+    """Make the plant `kind`, or the default one, with steps of `dt` [s]. The robot is at rest in
+    its ready posture; its end-effector holds any `door`, also after each reset.
 
     Raises:
         UnknownNameError: The plant does not exist.
@@ -47,11 +49,7 @@ def make_physics(
     kind = chosen_plant(kind)
     # Imported here, because each plant must work without the libraries of the other plants.
     if kind == "planar" and not find_spec("pybullet"):
-        raise ConfigError(
-            "the plant planar needs pybullet, which is not installed; there are no wheels of "
-            "pybullet for some versions of Python (docs/install.md); --physics mujoco works "
-            "without pybullet"
-        )
+        raise ConfigError(f"the plant planar {MISSING}; --physics mujoco works without pybullet")
     if kind in ("planar", "mujoco"):
         from app.simulation.plants.planar import Planar
 

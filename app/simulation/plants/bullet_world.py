@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from weakref import finalize
 import numpy as np
 
 from app.errors import AssetError, ConfigError
+from app.simulation.plants import MISSING
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs
 from app.simulation.plants.interface import Contacts
 from app.strict import Array
@@ -25,18 +26,14 @@ from app.system import decimal_points, flush_c_output
 def silence(*descriptors: int) -> Iterator[None]:
     """Discard output to file descriptors of the process during the `with`, also from C code."""
     _flush()  # at both ends, because buffered output would otherwise be lost or appear later
-    kept = {fd: os.dup(fd) for fd in descriptors}
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
+    with ExitStack() as after, open(os.devnull, "wb") as nowhere:
         for fd in descriptors:
-            os.dup2(nowhere, fd)
+            original = os.dup(fd)
+            after.callback(os.close, original)
+            after.callback(os.dup2, original, fd)
+            os.dup2(nowhere.fileno(), fd)
+        after.callback(_flush)
         yield
-    finally:
-        _flush()
-        for fd, original in kept.items():
-            os.dup2(original, fd)
-            os.close(original)
-        os.close(nowhere)
 
 
 def _flush() -> None:
@@ -50,10 +47,7 @@ class _MissingPybullet:
     """A substitute for pybullet if pybullet is not installed: each use raises an error."""
 
     def __getattr__(self, name: str) -> Any:
-        raise ConfigError(
-            "this needs pybullet, which is not installed; there are no wheels of pybullet for some "
-            "versions of Python (docs/install.md)"
-        )
+        raise ConfigError(f"this {MISSING}")
 
 
 if TYPE_CHECKING:
