@@ -13,6 +13,8 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.plants.door import Door
 from app.strict import Array
 
+GRAVITY = 9.81  # [m/s²]
+
 
 class Contacts(NamedTuple):
     """Whether parts touched in the last step: pairs of `body_contact_pairs`, or base and door."""

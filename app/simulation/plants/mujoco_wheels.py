@@ -23,9 +23,8 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Drive, Physics, Push
-from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
-from app.simulation.plants.mujoco_world import MujocoWorld
+from app.simulation.plants.interface import GRAVITY, Contacts, Drive, Physics, Push
+from app.simulation.plants.mujoco_world import MujocoWorld, RobotSpec
 from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point

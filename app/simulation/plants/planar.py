@@ -15,7 +15,7 @@ from app.simulation.plants.interface import Contacts, Drive, Physics, Push
 from app.strict import Array
 
 if TYPE_CHECKING:
-    from app.simulation.plants.bullet_robot import BulletRobot
+    from app.simulation.plants.bullet_world import BulletRobot
     from app.simulation.plants.mujoco_world import MujocoWorld
 
 
@@ -33,12 +33,11 @@ class Planar(Physics):
         """Load the robot into an engine; arguments, posture and errors as in `make_physics`."""
         # Imported here, because each engine must work without the other engine's library.
         if engine == "pybullet":
-            from app.simulation.plants.bullet_robot import BulletRobot
+            from app.simulation.plants.bullet_world import BulletRobot
 
             self.world: BulletRobot | MujocoWorld = BulletRobot(model, dt, door)
         else:
-            from app.simulation.plants.mujoco_spec import RobotSpec
-            from app.simulation.plants.mujoco_world import MujocoWorld
+            from app.simulation.plants.mujoco_world import MujocoWorld, RobotSpec
 
             self.world = MujocoWorld(RobotSpec(model, dt), door)
         self.dt, self.door, self._S = dt, self.world.door, model.S
