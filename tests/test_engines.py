@@ -18,8 +18,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation import plants
 from app.simulation.plants import PLANTS, chosen_plant, default_plant, make_physics
-from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
-from app.simulation.plants.planar import Planar
+from app.simulation.plants.planar import SAME_DEPTH, SAME_PICTURE, Planar, compare_engines
 from tests.robots import husky_panda
 
 NOBODY = np.zeros(3)

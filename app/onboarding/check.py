@@ -166,7 +166,7 @@ def engines_row(model: RobotModel) -> Row:
         if not find_spec(name):
             text = f"{name} is not installed, so there is no second engine for a comparison"
             return Row("engines", "warned", text, {})
-    from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
+    from app.simulation.plants.planar import SAME_DEPTH, SAME_PICTURE, compare_engines
 
     found = compare_engines(model)
     good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH

@@ -9,6 +9,7 @@ slightly soft casters: the spheres at the floor in the URDF, or one at each corn
 import math
 from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import coal
 import mujoco
@@ -31,8 +32,12 @@ _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the f
 _LOAD_RESERVE = 2.0
 """[-] factor of the wheels' friction, because casters carry a part of the weight; without casters,
 factor of each motor's torque limit, relative to an equal share of the traction limit."""
-_SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and sliding tyres
-_TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
+_SPRING = [0.02, 1.0]  # [s] time constant and [-] damping ratio of casters and sliding tyres
+_TYRE: dict[str, Any] = {
+    "solref": _SPRING,
+    "solimp": [0.5, 0.5, 0.001, 0.5, 2.0],
+    "solreffriction": [0.2, 1.0],
+}
 """A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
 stiffer contacts and faster friction in MuJoCo, the wheels would hop in turns of the base."""
 _AT_FLOOR = 0.01  # [m] a shape of the base that reaches down to this height counts as on the floor
@@ -186,8 +191,7 @@ def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> Non
         wheel = robot.add_body(robot.root, name, pin.SE3(np.eye(3), centre), inertia)
         robot.add_motor(wheel, name, mujoco.mjtJoint.mjJNT_HINGE, (0, 1, 0), torque)
         robot.add_geom(wheel, name, _GEOM.mjGEOM_ELLIPSOID, (r, _TREAD * r, r))
-        tyre = {"firmness": _SPRING, **_TYRE} if wheels.spans else {}
-        robot.allow(None, [FLOOR], [name], friction=mu, **tyre)
+        robot.allow(FLOOR, name, friction=mu, **(_TYRE if wheels.spans else {}))
 
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
@@ -197,7 +201,7 @@ def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
         if shape.part not in robot.mobile or shape.part in wheels.links:
             continue
         if shape.lowest > _AT_FLOOR:
-            robot.allow(None, [FLOOR], [f"{shape.part}/{i}"])
+            robot.allow(FLOOR, f"{shape.part}/{i}")
         elif isinstance(shape.geometry, coal.Sphere):
             casters.append(np.array([*shape.T.translation[:2], shape.geometry.radius]))
     if not wheels.spans:
@@ -207,4 +211,4 @@ def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
         for i, centre in enumerate(casters or corners):
             name, place = f"caster_{i}", pin.SE3(np.eye(3), centre)
             robot.add_geom(robot.root, name, _GEOM.mjGEOM_SPHERE, centre[2:], place)
-            robot.allow(None, [FLOOR], [name], friction=0.0, firmness=_SPRING)
+            robot.allow(FLOOR, name, friction=0.0, solref=_SPRING)

@@ -22,12 +22,12 @@ from app.strict import Array
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
 
 _AWAY = 100.0  # [m] displacement of the refrigerator while a base settles on its wheels
-_SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
+_SEAL = [0.02, 1.0]  # [s] time constant and [-] damping ratio of the door's edge
 _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
 _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
-FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts
-IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of contacts and joint limits, in MuJoCo's format
-
+_FIRM = [0.004, 1.0]  # [s] time constant and [-] damping ratio of contacts
+_IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of contacts and joint limits, in MuJoCo's format
+_ORIGIN = pin.SE3.Identity()
 _FLAT = 1e-6  # [-] largest ratio of thickness to length of a flat mesh
 _SHEET = 0.0002  # [m] thickness that a flat mesh gets
 _STIFFEST = 0.9999  # [-] MuJoCo's largest impedance
@@ -47,10 +47,9 @@ class RobotSpec:
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
     ) -> None:
-        """Specify the robot and the floor; `dt` [s] is the duration of one step.
-
-        `free_root` is the inertia of a free root; the plant then adds bodies with the rest of the
-        base's mass. Without `free_root`, motors along x, y and yaw move the root.
+        """Specify the robot and the floor; `dt` [s] is the duration of one step. `free_root` is the
+        inertia of a free root; the plant then adds bodies with the rest of the base's mass. Without
+        `free_root`, motors along x, y and yaw move the root.
         """
         self.model, self._dt = model, dt
         tool = model.pin.frames[model.ee_frame]
@@ -72,7 +71,8 @@ class RobotSpec:
         # Sorted by group and names, because the last digits of the solution depend on the order.
         ordered = sorted(pairs.items(), key=lambda item: (Contacts._fields.index(item[1]), item[0]))
         for (a, b), group in ordered:
-            self.allow(group, self.geoms(a), self.geoms(b))
+            for one, other in product(self.geoms(a), self.geoms(b)):
+                self.allow(one, other, group)
 
     def geoms(self, *parts: str) -> list[str]:
         """Names of the MuJoCo geoms of some parts: links or bodies, and the floor."""
@@ -95,34 +95,23 @@ class RobotSpec:
         )
 
     def add_geom(
-        self,
-        body: Any,
-        name: str,
-        kind: mujoco.mjtGeom,
-        size: Sequence[float] | Array = (),
-        T: pin.SE3 | None = None,
-        mesh: str = "",
+        self, body: Any, name: str, kind: Any, size: Iterable[float] = (), T: pin.SE3 = _ORIGIN
     ) -> None:
         """Add a shape to a body at the pose T; it can touch only the geoms of its pairs in `allow`.
-        `size` [m] has up to three sizes, as MuJoCo defines them; `mesh` is the name of a mesh.
+        `size` [m] has up to three sizes, as MuJoCo defines them; a mesh has the name of its geom.
         """
+        mesh = name if kind == _GEOM.mjGEOM_MESH else ""
+        filled, at = [*size, 0, 0, 0][:3], _pose(T)
         body.add_geom(
-            name=name,
-            type=kind,
-            size=[*size, 0, 0, 0][:3],
-            **_pose(T or pin.SE3.Identity()),
-            meshname=mesh,
-            contype=0,
-            conaffinity=0,
+            name=name, type=kind, size=filled, **at, meshname=mesh, contype=0, conaffinity=0
         )
 
     def add_motor(
         self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], limit: float
     ) -> None:
-        """Add a joint with a velocity-controlled motor of limited force or torque.
-
-        The motor is dry friction up to `limit` [N or N m] relative to a moving reference. MuJoCo
-        solves this friction together with contacts and limits. `axis` (3,) is in the body's frame.
+        """Add a joint about or along `axis` (3,) of the body with a velocity-controlled motor: dry
+        friction up to `limit` [N or N m] relative to a moving reference, which MuJoCo solves
+        together with contacts and limits.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(limit))
         self.motors.append(name)
@@ -136,31 +125,20 @@ class RobotSpec:
         }
 
     def allow(
-        self,
-        group: str | None,
-        some: Iterable[str],
-        others: Iterable[str],
-        *,
-        friction: float = _FRICTION,
-        firmness: Sequence[float] = FIRM,
-        **contact: Any,
+        self, a: str, b: str, group: str | None = None, friction: float = _FRICTION, **contact: Any
     ) -> None:
-        """Let each geom of one list touch each geom of another list.
-
-        `group` is the field of `Contacts` that reports their contact, or None. `friction` [-] is
-        the coefficient; `firmness` has the time constant [s] and the damping ratio [-]; `contact`
-        has further options of MuJoCo.
+        """Let two geoms touch. The field `group` of `Contacts`, if any, reports their contact;
+        `friction` [-] is the coefficient; `contact` has other options of MuJoCo than the defaults.
         """
-        contact = {"solref": list(firmness), "solimp": IMPEDANCE} | contact
-        for a, b in product(some, others):
-            self.pairs[frozenset((a, b))] = group
-            self.spec.add_pair(
-                geomname1=a,
-                geomname2=b,
-                condim=3 if friction else 1,
-                friction=[friction, friction, 0.0, 0.0, 0.0],
-                **contact,
-            )
+        contact = {"solref": _FIRM, "solimp": _IMPEDANCE} | contact
+        self.pairs[frozenset((a, b))] = group
+        self.spec.add_pair(
+            geomname1=a,
+            geomname2=b,
+            condim=3 if friction else 1,
+            friction=[friction, friction, 0.0, 0.0, 0.0],
+            **contact,
+        )
 
     def compile(self) -> mujoco.MjModel:
         """Compile the model, and set the inertias of its bodies."""
@@ -203,7 +181,7 @@ class RobotSpec:
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             range=[model.q_lower[i - 2], model.q_upper[i - 2]],
             solref_limit=[2.0 * self._dt, 1.0],
-            solimp_limit=IMPEDANCE,
+            solimp_limit=_IMPEDANCE,
         )
 
     def _add_shape(self, body: Any, name: str, shape: CollisionShape) -> None:
@@ -211,7 +189,7 @@ class RobotSpec:
         if isinstance(geometry, np.ndarray):
             convex = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             self.spec.add_mesh(name=name, uservert=_solid(geometry).ravel(), inertia=convex)
-            self.add_geom(body, name, _GEOM.mjGEOM_MESH, T=shape.T, mesh=name)
+            self.add_geom(body, name, _GEOM.mjGEOM_MESH, T=shape.T)
         else:
             kind, size_of = _PRIMITIVES[type(geometry)]
             self.add_geom(body, name, kind, size_of(geometry), shape.T)
@@ -366,23 +344,24 @@ class MujocoDoor(HeldDoor):
         self.door, self._start = start
         self._tip, self._tool = robot.tip, robot.tool
         self._cabinet = cabinet = Cabinet(self.door)
-        box = mujoco.mjtGeom.mjGEOM_BOX
         body = robot.add_body(robot.spec.worldbody, _BODY, cabinet.T_world, cabinet.inertia)
         body.add_freejoint(name=_BODY)
-        robot.add_geom(body, _BODY, box, np.array(cabinet.size) / 2)
+        robot.add_geom(body, _BODY, _GEOM.mjGEOM_BOX, np.array(cabinet.size) / 2)
         door = robot.add_body(body, _DOOR, cabinet.T_hinge, cabinet.door_inertia)
         door.add_joint(
             name=_HINGE,
-            type=mujoco.mjtJoint.mjJNT_HINGE,
+            type=_JOINT.mjJNT_HINGE,
             axis=[0, 0, 1],
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             range=self.door.joint_range,
             **robot.friction(self.door.friction),
         )
-        robot.add_geom(door, _DOOR, box, np.array(self.door.size) / 2, cabinet.T_centre)
-        robot.allow(None, [FLOOR], [_BODY])
-        robot.allow("door_base", [_DOOR], robot.geoms(*robot.mobile), firmness=_SEAL)
-        robot.add_body(door, _GRIP, pin.SE3.Identity(), pin.Inertia.Zero()).add_site(name=_GRIP)
+        half = np.array(self.door.size) / 2
+        robot.add_geom(door, _DOOR, _GEOM.mjGEOM_BOX, half, cabinet.T_centre)
+        robot.allow(FLOOR, _BODY)
+        for geom in robot.geoms(*robot.mobile):
+            robot.allow(_DOOR, geom, "door_base", solref=_SEAL)
+        robot.add_body(door, _GRIP, _ORIGIN, pin.Inertia.Zero()).add_site(name=_GRIP)
         robot.spec.add_equality(
             name=_GRIP,
             type=mujoco.mjtEq.mjEQ_WELD,
