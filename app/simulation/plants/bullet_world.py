@@ -98,15 +98,15 @@ class BulletWorld:
         """Load a robot from the text of a URDF with absolute paths, and a floor. An error of
         pybullet raises an AssetError; a missing pybullet raises a ConfigError.
         """
-        self.client = Client()
+        self.client = client = Client()
+        self.close = client.close  # ends the client; a second call has no effect
         # pybullet caches a file by its descriptor, which the system can give to a later file.
-        self.client.setPhysicsEngineParameter(enableFileCaching=0)
+        client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
             self.robot = self.load(urdf, self_collision=True)
         except pybullet.error as error:
             self.close()
             raise AssetError(f"pybullet cannot load the robot: {error}") from None
-        client = self.client
         plane = client.createCollisionShape(pybullet.GEOM_PLANE)
         self.floor = client.createMultiBody(0, plane)  # index of the floor's body, the plane z = 0
         # indices by name; the root link has the index -1
@@ -134,12 +134,8 @@ class BulletWorld:
         with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # hides warnings
             file.write(urdf.encode())
             file.seek(0)
-            body = self.client.loadURDF(
-                f"/dev/fd/{file.fileno()}",
-                basePosition=place,
-                useFixedBase=self_collision,
-                flags=flags,
-            )
+            path = f"/dev/fd/{file.fileno()}"
+            body = self.client.loadURDF(path, place, useFixedBase=self_collision, flags=flags)
         for i in range(-1, self.client.getNumJoints(body)):
             self.client.changeDynamics(body, i, **_UNDAMPED)
         return body
@@ -188,14 +184,10 @@ class BulletWorld:
         else:
             self.client.restoreState(self._at_load)
 
-    def close(self) -> None:
-        """End the client; a second call has no effect."""
-        self.client.close()
-
 
 class BulletRobot(BulletWorld):
-    """A robot on planar joints in pybullet. Positions q and velocities v (3 + n_m,) are those of x,
-    y and yaw in the world, then of the arm's joints. `door` is as in `Physics`.
+    """A robot whose positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world,
+    then of the arm's joints; `door` is as in `Physics`.
     """
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
@@ -209,10 +201,9 @@ class BulletRobot(BulletWorld):
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
         self._tip, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
+        self._control = partial(self.client.setJointMotorControlArray, self.robot)
         # pybullet adds a holding motor to every joint, which must be disabled for torque control.
-        self.client.setJointMotorControlArray(
-            self.robot, self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm)
-        )
+        self._control(self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm))
         self.door = None if door is None else BulletDoor(self, model, door)
 
     def reset(self, q: Array) -> None:
@@ -234,19 +225,11 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step, as in `Physics.step`. `speeds` (3,) [m/s, m/s, rad/s] are the
-        commanded speeds of x, y and yaw in the world.
-        """
-        self.client.setJointMotorControlArray(
-            self.robot,
-            self._planar,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=speeds,
-            forces=self._limits,
+        """`Physics.step` with the commanded `speeds` (3,) [m/s, m/s, rad/s] of x, y and yaw."""
+        self._control(
+            self._planar, pybullet.VELOCITY_CONTROL, targetVelocities=speeds, forces=self._limits
         )
-        self.client.setJointMotorControlArray(
-            self.robot, self._arm, pybullet.TORQUE_CONTROL, forces=u_a.tolist()
-        )
+        self._control(self._arm, pybullet.TORQUE_CONTROL, forces=u_a.tolist())
         self._press(self._tip, self._tool, hand_force)
         for push in pushes:
             self._press(self.joints[push.joint], push.p.tolist(), push.force)
