@@ -30,9 +30,8 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start the free motion at the joint positions `q_start` (n_m,) [rad or m]. `free` is the
-        main robot's session. All scenarios use its plant and its seed, and its parameters until
-        `configure` changes them.
+        """Start the free motion of the main robot, whose session is `free`, at the joint positions
+        `q_start` (n_m,) [rad or m]. All scenarios use the plant and the seed of `free`.
         """
         self._free, self._config = free, free.config
         self._led = Runner(free, None)
@@ -98,11 +97,10 @@ class Ensemble:
         self._config = config
 
     def compare(self, comparison: Compare) -> None:
-        """Start a comparison with the named controllers; if none is named, end the comparison.
-
-        While a scenario moves the robot, or while the end-effector holds a door, the comparison
-        starts at the scenario's start; at all other times at the present posture, at rest. If the
-        robots cannot start there, this raises a DbbError before any change.
+        """Start a comparison with the named controllers; if none is named, end the comparison. It
+        starts at the scenario's start while a scenario moves the robot, or the end-effector holds a
+        door; at all other times at the present posture, at rest. If the robots cannot start there,
+        this raises a DbbError before any change.
         """
         if not comparison.controllers:
             self.comparison = comparison

@@ -76,9 +76,8 @@ class SimulationLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, *, stored: int = SNAPSHOTS_STORED
     ) -> None:
-        """Prepare the loop; `begin` or `start` starts it. The loop's thread calls `make_session`
-        once, and closes the session. The arm is at `q_start` (n_m,) [rad or m] at the start, and
-        after a `Reset` without a posture.
+        """Prepare the loop, whose thread calls `make_session` once and closes the session. The arm
+        is at `q_start` (n_m,) [rad or m] at the start, and after a `Reset` without a posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)

@@ -26,9 +26,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant with a present or former `name`, by default `default_plant`. An
-    unknown name raises an UnknownNameError.
-    """
+    """The plant with a present or former `name`, or the default; raises an UnknownNameError."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name
