@@ -11,7 +11,7 @@ from app.border.dbb import Cloud
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
 from app.simulation.loop.pacing import Pacer
-from app.simulation.scenarios.posture import PostureSearch, Target
+from app.simulation.scenarios.start import PostureSearch, Target
 from app.simulation.session import DT, Session
 from app.simulation.trace.snapshot import Snapshot, make_snapshot
 from app.strict import Array

@@ -13,10 +13,6 @@ if TYPE_CHECKING:
     from app.simulation.plants.interface import Physics
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
-MISSING = (
-    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
-    "Python (docs/install.md)"
-)
 _FORMERLY = {"contact": "mujoco-contact"}
 
 
@@ -47,6 +43,8 @@ def make_physics(
     kind = chosen_plant(kind)
     # Imported here, because each plant must work without the libraries of the other plants.
     if kind == "planar" and not find_spec("pybullet"):
+        from app.simulation.plants.interface import MISSING
+
         raise ConfigError(f"the plant planar {MISSING}; --physics mujoco works without pybullet")
     if kind in ("planar", "mujoco"):
         from app.simulation.plants.planar import Planar

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.config import Config
     from app.robot.model import RobotModel
-    from app.simulation.scenarios.posture import PostureSearch
+    from app.simulation.scenarios.start import PostureSearch
     from app.simulation.session import Session
 
 Begin = Literal["penetration", "buffer", "arm"]
@@ -47,7 +47,7 @@ class WayOutScenario(Scenario):
         raises a DescriptionError.
         """
         # Imported here: scipy would delay the start of every command.
-        from app.simulation.scenarios.posture import PostureSearch
+        from app.simulation.scenarios.start import PostureSearch
         from app.simulation.session import check_avoidance
 
         check_avoidance(model, data)
