@@ -72,7 +72,6 @@ def run_from_spec(
     drawn: bool = False,
 ) -> RunResult:
     """Execute a run and compute its figures of merit; `on_progress` and errors as in `steps_of`.
-
     `on_step` is called after each control step. With `drawn`, the trace has snapshots, which log
     files and the player need.
     """

@@ -294,10 +294,9 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """The readings that the controller receives in a control step: `truth`, or disturbed ones.
-        Readings can be noisy, late or repeated, or have time stamps. With noise, `VelocityTracking`
-        computes the joint velocities from the noisy positions, as on a robot that has only
-        encoders. The base's sensors have no noise.
+        """The readings that the controller receives in a control step: `truth`, or noisy, late,
+        repeated or time-stamped ones. With noise, `VelocityTracking` computes the joint velocities
+        from the noisy positions. The base's sensors have no noise.
         """
         config, sent = self._config, truth
         if config.encoder_noise == 0.0:

@@ -110,8 +110,7 @@ class RobotSpec:
         self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], limit: float
     ) -> None:
         """Add a joint about or along `axis` (3,) of the body with a velocity-controlled motor: dry
-        friction up to `limit` [N or N m] relative to a moving reference, which MuJoCo solves
-        together with contacts and limits.
+        friction up to `limit` [N or N m] relative to the commanded speed.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(limit))
         self.motors.append(name)

@@ -96,9 +96,8 @@ class Planar(Physics):
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """The base's `twist` during a step, v_x, v_y [m/s] and ω [rad/s], in the axes of the world at
-    the heading in the middle of the step. `twist` is constant in the base's frame, `heading` [rad]
-    the base's heading at the start of the step of `dt` [s].
+    """Turn v_x, v_y [m/s] and ω [rad/s] of the base from its axes in the middle of a step of `dt`
+    [s] to those of the world. `heading` [rad] is the base's heading at the start of the step.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt

@@ -62,11 +62,9 @@ def scenario_by_name(name: str) -> Scenario:
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
     """The scenario with a name, for a robot. A line of the robot's description (start and
     displacement of the end-effector) replaces the scenario's own line; `changes`, options as in
-    `Scenario.changed`, override both.
-
-    This raises the errors of `scenario_by_name` and `Scenario.changed`; an UnreachableError if the
-    scenario needs a start, and neither description nor `changes` have one; and a DescriptionError
-    if a line of the description belongs to no scenario with a line.
+    `Scenario.changed`, override both. This raises the errors of `scenario_by_name` and
+    `Scenario.changed`; an UnreachableError if the scenario needs a start, and neither description
+    nor `changes` have one; and a DescriptionError if the description has a line for no scenario.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
@@ -83,10 +81,10 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
 def free_start(
     model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
 ) -> Array:
-    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion: with the
-    end-effector at `start` (3,) [m] for a base at the origin, by default at the start of the
-    robot's own line for `guiding-front`, or else the ready posture. If the search finds no posture,
-    this raises an UnreachableError.
+    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. The end-effector
+    is at `start` (3,) [m] for a base at the origin, by default at the start of the robot's own line
+    for `guiding-front`; without this line too, the posture is the ready one. Raises an
+    UnreachableError if the search finds no posture.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start

@@ -78,6 +78,7 @@ class PostureSearch:
         self.middle = (model.q_upper + model.q_lower) / 2  # (n_m,) [rad or m], as `span`
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
         self.monitor = DistanceMonitor(self.state, pairs.all)
+        self.distances = self.monitor.distances  # [m] signed, of all pairs in the present posture
         self._floor, self._floor_data = _with_floor(model)
         self._base_pose = np.zeros(3)
         self._placed: Array | None = None
@@ -172,10 +173,6 @@ class PostureSearch:
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
         return float(np.linalg.norm(p - at)) - self._length
 
-    def distances(self) -> tuple[float, ...]:
-        """[m] signed distances of all pairs in the present posture."""
-        return self.monitor.distances()
-
     def beyond_buffer(self) -> float:
         """[m] smallest distance of a pair, minus d_b; infinite without pairs."""
         return min(self.distances(), default=np.inf) - self.d_b
@@ -209,10 +206,10 @@ class PostureSearch:
 class StartSolver(PostureSearch):
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
 
-    The end-effector points away from the arm's mount and, without a path, downwards if possible.
-    Every pair is outside its buffer, the arm is above the floor, and each joint is away from its
-    position limits. If no such posture lets the arm follow the whole path, the end-effector of an
-    arm that cannot choose this direction freely may point anywhere.
+    The end-effector points away from the arm's mount and, without a path, downwards if possible; if
+    no such posture follows the whole path, an arm that cannot choose this direction freely may
+    point anywhere. Every pair is outside its buffer, the arm is above the floor, and each joint is
+    away from its position limits.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -235,12 +232,11 @@ class StartSolver(PostureSearch):
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        `along` has further positions (3,) [m], a path. From the best posture, the arm follows most
-        of the path while the base is at rest and the orientation of the end-effector is constant.
-        Among equal postures, the one with the largest margins is best. `turn` [rad] is the
-        horizontal angle, positive to the left, from the direction away from the mount to that of
-        the end-effector; `tries` is the number of starting points for each pitch. If the search
-        finds no posture, this raises an UnreachableError with the reasons.
+        The best posture follows the most of the positions `along` (3,) [m], a path, with a base at
+        rest and a constant orientation of the end-effector; among equal postures it has the largest
+        margins. `turn` [rad] is the horizontal angle, positive to the left, from the direction away
+        from the mount to that of the end-effector; `tries` is the number of starting points for
+        each pitch. If no posture is found, this raises an UnreachableError with the reasons.
         """
         target, start = np.array(p_ee, dtype=float), f"start {point_text(p_ee)}"
         if not (np.isfinite(target).all() and target[2] > 0.0):

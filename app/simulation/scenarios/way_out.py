@@ -41,10 +41,9 @@ class WayOutScenario(Scenario):
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """A random posture, with the base at the origin. The seed draws a case first, because some
-        cases are rare among random postures: a pair and, for a pair of arm and base, whether the
-        arm is above the base or beside it. The next case follows if no random posture belongs to
-        the drawn one. If all cases fail, this raises an UnreachableError; without pairs of L_m, it
-        raises a DescriptionError.
+        cases are rare: a pair and, for a pair of arm and base, whether the arm is above the base or
+        beside it. If no random posture belongs to it, another case follows. If all cases fail, this
+        raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.start import PostureSearch
