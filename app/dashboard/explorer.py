@@ -52,7 +52,7 @@ class Explorer:
             session = self._session
             session.controller.use(snapshot.controller)
             q_m = np.clip(posture.q_m, self._model.q_lower, self._model.q_upper)
-            session.restart(snapshot.config, q_m, posture.base_pose)
+            session.reset(q_m, posture.base_pose, snapshot.config)
             step = session.step()
             self._response = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
             self._request = request

@@ -115,12 +115,24 @@ class Session:
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self.reset(np.array(model.description.arm.ready_position))
 
-    def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
-        """Put the robot at rest, without people; restart the time and the random numbers. `q_m`
-        (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading [rad]
-        of the base, by default zero. An invalid posture raises a TargetError.
+    def reset(
+        self, q_m: Array, base_pose: Array | None = None, config: Config | None = None
+    ) -> None:
+        """Put the robot at rest, without people; restart the time and the random numbers.
+
+        `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
+        [rad] of the base, by default zero. `config` replaces all parameters, also
+        `disturbance.stated_period`. Before any change, this raises a TargetError if the posture is
+        invalid, or a ConfigError if the stated control period is too long for a gain.
         """
         check_posture(self.model, q_m)
+        if config is not None:
+            period, name = config.disturbance.stated_period, self.controller.name
+            check_gains(config, period)
+            if period != self._stated:
+                self.loop = ControlLoop(self.model, self.data, config, name=name, dt=period)
+                self._stated = period
+            self.configure(config)
         self.t = 0.0  # [s] simulated time
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.loop.reset()
@@ -132,20 +144,6 @@ class Session:
         self._watch.reset()
         self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)
-
-    def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """`reset` with other parameters, including `disturbance.stated_period`. Before any change,
-        this raises a TargetError if the posture is invalid, or a ConfigError if the stated control
-        period is too long for a gain.
-        """
-        check_posture(self.model, q_m)
-        period, name = config.disturbance.stated_period, self.controller.name
-        check_gains(config, period)
-        if period != self._stated:
-            self.loop = ControlLoop(self.model, self.data, config, name=name, dt=period)
-            self._stated = period
-        self.configure(config)
-        self.reset(q_m, base_pose)
 
     def configure(self, config: Config) -> None:
         """Use other parameters, except `disturbance.stated_period`, from the next step on. If the

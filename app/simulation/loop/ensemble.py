@@ -189,7 +189,7 @@ class Ensemble:
         # Nothing below can fail, so the present run continues unchanged after an error.
         for name, session in zip(names, old, strict=False):
             session.controller.use(name)
-            session.restart(config, setting.q_m, setting.base_pose)
+            session.reset(setting.q_m, setting.base_pose, config)
         again = [Runner(session, scenario and scenario.driver(session)) for session in old]
         led, *ghosts = again + new
         if led.session is not self.main and self.main is not free:
