@@ -112,10 +112,14 @@ class SimulationLoop(LoopHandle):
             while not self._stop.is_set():
                 self._alive = monotonic()
                 self._obey(ensemble)
-                if self._watched and not self._paused:
-                    self._advance(ensemble)
-                else:
+                if self._paused or not self._watched:
                     self._mailbox.filled.wait(_IDLE)
+                    continue
+                step = ensemble.step()
+                self._pacer.worked(step.duration)
+                if round(step.t / DT) % EVERY == 0:
+                    self._publish(ensemble, step)
+                self._pacer.wait()
         except BaseException as error:  # the owner of the loop reports it
             self.error: BaseException | None = error
         finally:
@@ -127,13 +131,6 @@ class SimulationLoop(LoopHandle):
         self._pacer = Pacer(DT, self._speed)
         self._runs += 1
         self._publish(ensemble, ensemble.step())
-
-    def _advance(self, ensemble: Ensemble) -> None:
-        step = ensemble.step()
-        self._pacer.worked(step.duration)
-        if round(step.t / DT) % EVERY == 0:
-            self._publish(ensemble, step)
-        self._pacer.wait()
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
         ghosts = tuple(ghost.reading() for ghost in ensemble.ghosts)

@@ -113,7 +113,10 @@ class DoorOpening:
         progress = _share(float(velocity_ee @ along) / gains.speed)
         self._angle += radial_update(regulated, progress, self._sense, gains) * dt
         self.curvature += curvature_update(float(torque[2]), progress, gains) * dt
-        self._lead(T_world_ee, velocity, turning)
+        lead = self._pose.translation + velocity * dt - T_world_ee.translation
+        longest = max(float(np.linalg.norm(lead)) / gains.leash, 1.0)
+        self._pose.translation = T_world_ee.translation + lead / longest  # at most a leash ahead
+        self._pose.rotation = pin.exp3(turning * dt) @ self._pose.rotation
         self._t += dt
         return Reference(self._pose.copy(), np.concatenate([velocity, turning]), np.zeros(6))
 
@@ -130,13 +133,6 @@ class DoorOpening:
         slack = gains.slow_until - float(np.linalg.norm(force))
         slack /= gains.slow_until - gains.slow_from
         return gains.speed * begun**2 * (3 - 2 * begun) * _share(slack) * _share(left)
-
-    def _lead(self, T_world_ee: pin.SE3, velocity: Array, turning: Array) -> None:
-        """Advance the reference pose by one step, at most `leash` away from the end-effector."""
-        lead = self._pose.translation + velocity * self._dt - T_world_ee.translation
-        longest = max(float(np.linalg.norm(lead)) / self._gains.leash, 1.0)
-        self._pose.translation = T_world_ee.translation + lead / longest
-        self._pose.rotation = pin.exp3(turning * self._dt) @ self._pose.rotation
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:

@@ -245,8 +245,12 @@ class StartSolver(PostureSearch):
         if (beyond := self.beyond(target)) > 0.0:
             why = f"{start}: {OUT_OF_REACH} by {beyond:.2f} m or more"
             raise UnreachableError(why, {OUT_OF_REACH: 1})
+        outwards = target[:2] - self.model.p_base()[:2]  # horizontal, from the mount
+        length = np.hypot(*outwards)
+        outwards = outwards / length if length > 1e-6 else np.array([1.0, 0.0])
+        tilted = [np.array([*(np.cos(p) * outwards), -np.sin(p)]) for p in _PITCHES]
         turned, rng = pin.utils.rotate("z", turn), np.random.default_rng(seed)
-        directions = [turned @ self._direction(target, pitch) for pitch in _PITCHES]
+        directions = [turned @ direction for direction in tilted]
         best, flaws = Found(None, 0.0, Counter()), Counter[str]()
         for direction in (*directions, *([] if self._points_anywhere else [None])):
             if best.quality > len(along) and (direction is None or not along):
@@ -288,13 +292,6 @@ class StartSolver(PostureSearch):
             guesses, lambda _: self._off(target) < _POSITION_TOLERANCE, target=target, enough=1.0
         )
         return found.q_m is not None
-
-    def _direction(self, target: Array, pitch: float) -> Array:
-        """Horizontal unit vector (3,) to a target (+x above the mount), tilted down by `pitch`."""
-        outwards = target[:2] - self.model.p_base()[:2]
-        length = np.hypot(*outwards)
-        outwards = outwards / length if length > 1e-6 else np.array([1.0, 0.0])
-        return np.array([*(np.cos(pitch) * outwards), -np.sin(pitch)])
 
     def _off(self, target: Target) -> float:
         """[m] distance of the end-effector from its target."""
@@ -414,8 +411,10 @@ class _GraspSearch(PostureSearch):
             angle = self._angle + turned
             target = self._grasp(angle)
             self.stand(self._backed_off(angle))
-            for _ in range(_CORRECTIONS):
-                q_m = self._corrected(target, q_m, q_start)
+            for _ in range(_CORRECTIONS):  # to the target, and in its null space towards `q_start`
+                error, J = self.linearised(q_m, target)
+                back = _TO_START * (q_start - q_m)
+                q_m = q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
             there = self._room(target, q_m, _LOOSE_TOLERANCE, -_MAX_INSIDE)
             if isinstance(there, str):
                 break
@@ -429,12 +428,6 @@ class _GraspSearch(PostureSearch):
         forwards = np.array([np.cos(heading), np.sin(heading)])
         gap = float((edge[:2] - [x, y]) @ forwards) - self._front
         return np.add(self._begin, [*min(gap - self.d_b, 0.0) * forwards, 0.0])
-
-    def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
-        """(n_m,) posture after one step to the target, and in the null space towards `q_start`."""
-        error, J = self.linearised(q_m, target)
-        back = _TO_START * (q_start - q_m)
-        return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float | str:
         """[-] margins of a posture at `target`, with pairs `least` [m] beyond d_b; or its flaw."""
