@@ -97,10 +97,10 @@ class Ensemble:
         self._config = config
 
     def compare(self, comparison: Compare) -> None:
-        """Start a comparison with the named controllers; if none is named, end the comparison. It
-        starts at the scenario's start while a scenario moves the robot, or the end-effector holds a
-        door; at all other times at the present posture, at rest. If the robots cannot start there,
-        this raises a DbbError before any change.
+        """Start a comparison with the named controllers; if none is named, end the comparison.
+        The robots start at the scenario's start while a scenario moves the robot, or the
+        end-effector holds a door; at all other times at the present posture, at rest. If they
+        cannot start there, this raises a DbbError before any change.
         """
         if not comparison.controllers:
             self.comparison = comparison

@@ -82,6 +82,19 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
     }
 
 
+def geometry_with_floor(
+    model: RobotModel, floor: pin.GeometryObject, pairs: ContactPairs
+) -> tuple[pin.GeometryModel, list[str]]:
+    """The robot's bodies and a floor with pairs of shapes, and the field of `Contacts` of each."""
+    geometry, fields = model.geometry.copy(), list[str]()
+    ids = {**model.shape_ids, FLOOR: [geometry.addGeometryObject(floor)]}
+    for (a, b), field in pairs.items():
+        for shapes in product(ids[a], ids[b]):
+            geometry.addCollisionPair(pin.CollisionPair(*shapes))
+            fields.append(field)
+    return geometry, fields
+
+
 @kept_per_model(1)
 def collision_shapes(model: RobotModel) -> CollisionShapes:
     """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed; the

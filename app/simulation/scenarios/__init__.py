@@ -64,7 +64,7 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
     displacement of the end-effector) replaces the scenario's own line; `changes`, options as in
     `Scenario.changed`, override both. This raises the errors of `scenario_by_name` and
     `Scenario.changed`; an UnreachableError if the scenario needs a start, and neither description
-    nor `changes` have one; and a DescriptionError if the description has a line for no scenario.
+    nor `changes` have one; a DescriptionError if a line belongs to no scenario with a line.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:

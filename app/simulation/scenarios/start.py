@@ -15,6 +15,7 @@ from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel, kept_per_model, length_bound
 from app.robot.state import RobotState, at_rest, geometry_data
+from app.simulation.plants.collision_shapes import FLOOR, geometry_with_floor
 from app.simulation.plants.door import Door
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.words import spoken
@@ -79,7 +80,11 @@ class PostureSearch:
         self.names = [spoken(pair.name, model.body_names) for pair in pairs.all]
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self.distances = self.monitor.distances  # [m] signed, of all pairs in the present posture
-        self._floor, self._floor_data = _with_floor(model)
+        below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
+        floor = pin.GeometryObject("floor", 0, 0, below, coal.Box(20.0, 20.0, 1.0))
+        arm = {(FLOOR, name): "arm_floor" for name in model.body_names[1:]}
+        self._floor, _ = geometry_with_floor(model, floor, arm)
+        self._floor_data = geometry_data(self._floor)
         self._base_pose = np.zeros(3)
         self._placed: Array | None = None
         self._shoulder, self._length = _arm_length(model)
@@ -207,9 +212,9 @@ class StartSolver(PostureSearch):
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
 
     The end-effector points away from the arm's mount and, without a path, downwards if possible; if
-    no such posture follows the whole path, an arm that cannot choose this direction freely may
-    point anywhere. Every pair is outside its buffer, the arm is above the floor, and each joint is
-    away from its position limits.
+    no such posture follows the whole path, it may point anywhere if the arm cannot choose this
+    direction freely. Every pair is outside its buffer, the arm is above the floor, and each joint
+    is away from its position limits.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -232,11 +237,12 @@ class StartSolver(PostureSearch):
     ) -> Array:
         """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
 
-        The best posture follows the most of the positions `along` (3,) [m], a path, with a base at
-        rest and a constant orientation of the end-effector; among equal postures it has the largest
-        margins. `turn` [rad] is the horizontal angle, positive to the left, from the direction away
-        from the mount to that of the end-effector; `tries` is the number of starting points for
-        each pitch. If no posture is found, this raises an UnreachableError with the reasons.
+        From the best posture, the arm follows most positions of the path `along` (3,) [m] while the
+        base is at rest and the orientation of the end-effector is constant; among equal postures,
+        the best has the largest margins. `turn` [rad] is the horizontal angle, positive to the
+        left, from the direction away from the mount to that of the end-effector; `tries` is the
+        number of starting points for each pitch. Without a posture, this raises an
+        UnreachableError with the reasons.
         """
         target, start = np.array(p_ee, dtype=float), f"start {point_text(p_ee)}"
         if not (np.isfinite(target).all() and target[2] > 0.0):
@@ -451,17 +457,6 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
     slides = [arm.idx_vs[j] - 3 for j in chain if "JointModelP" in arm.joints[j].shortname()]
     limits = np.array([model.q_lower[slides], model.q_upper[slides]])
     return arm.jointPlacements[chain[0]].translation.copy(), length_bound(links, limits)
-
-
-def _with_floor(model: RobotModel) -> tuple[pin.GeometryModel, pin.GeometryData]:
-    """The robot's bodies and the floor, with a pair of each body of the arm and the floor."""
-    geometry, slab = model.geometry.copy(), coal.Box(20.0, 20.0, 1.0)
-    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5]))
-    floor = geometry.addGeometryObject(pin.GeometryObject("floor", 0, 0, place, slab))
-    for name in model.body_names[1:]:
-        for shape in model.shape_ids[name]:
-            geometry.addCollisionPair(pin.CollisionPair(floor, shape))
-    return geometry, geometry_data(geometry)
 
 
 def manipulability(J: Array) -> float:
