@@ -146,9 +146,8 @@ class Ensemble:
 
     def close(self) -> None:
         self._replace_ghosts([])
-        self._free.close()
-        if self.main is not self._free:
-            self.main.close()
+        for session in {self._free, self.main}:
+            session.close()
 
     def _let_go(self) -> None:
         self.ends = None

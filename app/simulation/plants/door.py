@@ -28,8 +28,8 @@ _SINKING = 1e-5  # [m] depth of the resting cabinet in the floor
 
 @dataclass(frozen=True)
 class Door:
-    """A vertical board on a hinge. The door's frame turns with the board; its origin is on the floor
-    under the hinge's axis, z is up. x of the closed door points into the refrigerator.
+    """A vertical board on a hinge. The door's frame turns with the board, has its origin on the
+    floor under the hinge's axis, and z up. x of the closed door points into the refrigerator.
     """
 
     hinge: Literal["left", "right"]  # side of the hinge for a person in front of the closed door
