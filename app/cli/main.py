@@ -67,17 +67,15 @@ def main(args: list[str] | None = None) -> None:
         with ending_signals_raised(), extras_named():
             _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
+        return
     except DbbError as error:
-        print(printable(f"dbb: error: {error}"), file=sys.stderr)
-        sys.exit(2)
+        fault = str(error)
     except MemoryError as error:
-        print(f"dbb: error: too little memory: {error}", file=sys.stderr)
-        sys.exit(2)
+        fault = f"too little memory: {error}"
     except ImportError as error:
         if not str(error.path).endswith(".so"):  # a defect of this program
             raise
-        print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
-        sys.exit(2)
+        fault = f"a library cannot be loaded: {error}"
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "
         try:
@@ -88,11 +86,12 @@ def main(args: list[str] | None = None) -> None:
                 error, where = lost, "the standard output: "
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
-        print(printable(f"dbb: error: {where}{error.strerror or error}"), file=sys.stderr)
-        sys.exit(2)
+        fault = f"{where}{error.strerror or error}"
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)
         sys.exit(130)
+    print(printable(f"dbb: error: {fault}"), file=sys.stderr)
+    sys.exit(2)
 
 
 class _Plain(logging.Formatter):
@@ -119,20 +118,18 @@ def _run_command(name: str, *words: str) -> None:
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import REGISTRY, in_order
+    from app.cli.options import in_order
 
     if shutil.get_terminal_size().columns < _NARROWEST:
         os.environ["COLUMNS"] = str(_NARROWEST)  # in fewer columns tyro's help does not end
-    module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = in_order(words)
-    if choose := getattr(module, f"choose_{known}", None):
-        about, function, rest = choose(rest)
-        name = f"{name} {about}".strip()
-    else:
-        function = getattr(module, known)
+    module, rest = import_module(f"app.cli.{_MODULES[name]}"), in_order(words)
+    function = getattr(module, name.replace("-", "_"))
+    if name == "run":  # each scenario has its own options
+        scenario, function, rest = module.choose_run(rest)
+        name = f"{name} {scenario}".strip()
     function.__doc__, description = _help_texts(function.__doc__ or "")
-    how: dict[str, Any] = {"config": (tyro.conf.DisallowNone,), "registry": REGISTRY}
-    tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, **how)
+    about: Any = {"prog": f"dbb {name}", "description": description}
+    tyro.cli(function, args=rest, config=(tyro.conf.DisallowNone,), **about)
 
 
 def _help_texts(doc: str) -> tuple[str, str]:

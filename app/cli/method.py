@@ -29,12 +29,14 @@ _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, for the 
 
 
 def pairs(
-    robot: str = "husky_panda", samples: int = 100_000, seed: int = 0, json: options.Json = False
+    robot: options.Robot = "husky_panda",
+    samples: int = 100_000,
+    seed: int = 0,
+    json: options.Json = False,
 ) -> None:
     """Find the link pairs that can collide, by sampling (§2.1).
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         samples: Number of random postures of the arm.
         seed: Seed of the random postures.
     """
@@ -60,7 +62,7 @@ def pairs(
 
 def border(
     parameters: Annotated[options.Given, options.parameter_options(_OF_BORDER)],
-    robot: str = "husky_panda",
+    robot: options.Robot = "husky_panda",
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
     seed: int = 0,
     json: options.Json = False,
@@ -68,7 +70,6 @@ def border(
     """Load or sample the border of each pair of arm and base (§2.2).
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         out: Folder for a CSV file of each pair with the border's points in the base's frame [m].
         seed: Seed of the sampling; a different seed gives different points.
     """
@@ -119,7 +120,7 @@ def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str,
 
 
 def reach(
-    robot: str = "husky_panda",
+    robot: options.Robot = "husky_panda",
     body: str = "all",
     seed: int = 0,
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
@@ -142,7 +143,6 @@ def reach(
     and on the lower bound 5; the paper does not state these.
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         body: A body that at least three joints move, such as lEE or l3; `all` selects all of them.
         seed: Seed of the random joint positions; a different seed gives a different map.
         out: Folder for two CSV files of each body: its map; and the mean and the fit in each shell.
@@ -243,7 +243,7 @@ def config(
 
 
 def bench(
-    robot: str = "husky_panda",
+    robot: options.Robot = "husky_panda",
     no_border: options.Flag = False,
     seed: int = 0,
     json: options.Json = False,
@@ -255,7 +255,6 @@ def bench(
     within one run.
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         no_border: Do not measure the sampling of a new border, which takes minutes.
         seed: Seed of all random numbers: for the simulated paths, for the synthetic borders, and
             for the QP that a library solves for comparison with the control step.

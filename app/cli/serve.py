@@ -6,15 +6,16 @@ import ipaddress
 import socket
 import sys
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from app.cli import options
 from app.cli.common import load_model, say, spec_of_case
 from app.config import Config
 from app.config_file import checked_host
+from app.simulation.case import RunSpec
 from app.simulation.scenarios import free_start
 from app.simulation.scenarios.leading import Scenario, check_point
 from app.simulation.scenarios.line import Point
@@ -68,13 +69,13 @@ def serve(
     return_freed_memory_early()
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.read(config).hosts))
+    chosen: options.Setup | RunSpec
     if asked.case is None:
         chosen, played = options.Setup(**setup), None
         tuned = options.configured(chosen.robot, config, parameters)
     else:
         others = {"start": asked.start, "config": config, **parameters}
-        run = spec_of_case(asked.case, setup, **others)
-        chosen = options.Setup(**{f.name: getattr(run, f.name) for f in fields(options.Setup)})
+        chosen = run = spec_of_case(asked.case, setup, **others)
         tuned, played = options.changed(run.config, parameters), run.scenario
     from app.robot.assets import check_robot_name
 
@@ -89,7 +90,7 @@ def serve(
 class _First(NamedTuple):
     """The first robot of the dashboard, and the process for its simulation."""
 
-    setup: options.Setup
+    setup: options.Setup | RunSpec  # robot, controller, plant and seed
     config: Config
     asked: Serving
     played: Scenario | None
@@ -111,8 +112,8 @@ class _First(NamedTuple):
         seed, given = self.setup.seed, (model, data, config)
         if q_start is None:
             q_start = free_start(*given, None, seed)
-        plant = {"controller": controller, "physics": self.setup.physics}
-        made = ProcessLoop(partial(Session, *given, **plant, seed=seed), q_start, waiting)
+        how: Any = {"controller": controller, "physics": self.setup.physics, "seed": seed}
+        made = ProcessLoop(partial(Session, *given, **how), q_start, waiting)
         made.begin()
         return made
 
@@ -152,17 +153,9 @@ def _opened(first: _First) -> DashboardServer:
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
-        return serve_dashboard(
-            simulation,
-            model,
-            data.clouds,
-            host=asked.host,
-            port=asked.port,
-            allowed=asked.allow_host,
-            case=first.played,
-            parts=parts,
-            start_loop=first.begin_loop,
-        )
+        how: Any = {"host": asked.host, "port": asked.port, "allowed": asked.allow_host}
+        how |= {"case": first.played, "parts": parts, "start_loop": first.begin_loop}
+        return serve_dashboard(simulation, model, data.clouds, **how)
     except BaseException:
         simulation.stop()
         raise
