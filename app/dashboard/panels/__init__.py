@@ -74,6 +74,11 @@ class Viewer:
             loop.send(Reset())
             loop.send(Pause(False))
 
+    def use_robot(self, name: str) -> None:
+        """Start to replace the robot for all viewers; changed parameters keep their values."""
+        shared = self.shared
+        shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
+
     def toggle_pause(self) -> None:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 

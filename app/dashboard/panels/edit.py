@@ -99,8 +99,7 @@ class EditPanel(Panel):
         there = robot_folder(own)
         again = name == own and is_own(own)
         save_by_hand(there, there if again else new_folder(name), self.changes)
-        shared = self._shared
-        shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
+        self._viewer.use_robot(name)
 
     def _draw(self) -> None:
         chosen, changed = self._body.value, self.changes.shapes

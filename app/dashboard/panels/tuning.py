@@ -84,7 +84,7 @@ class TuningPanel(Panel):
 
     def _save(self, event: Any) -> None:
         name = self._name.value.strip()
-        data = save_config(self._tuning.config, name).encode("utf-8")
+        data = save_config(self._tuning.config, name).encode()
         event.client.send_file_download(file_name(name), data, save_immediately=True)
 
     def _load(self, event: Any) -> None:

@@ -159,11 +159,8 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
         return f"{text}. Avoidance is off."
     text += f" (buffer {millimetres(snapshot.d_b)})"
     moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
-    if moves is None:
-        return f"{text}."
-    if why.mode == "tracking":
-        return f"{text}; the base {moves} to follow the end-effector's task."
-    return f"{text}; the base {moves} and comes to rest."
+    aim = "to follow the end-effector's task" if why.mode == "tracking" else "and comes to rest"
+    return f"{text}; the base {moves} {aim}." if moves else f"{text}."
 
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str) -> str:
@@ -173,13 +170,12 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
         a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
         also = f" {b.capitalize()} and {a} are also pushed apart."
     if pair.above >= STEEP:  # base motion cannot help
+        least = millimetres(snapshot.config.barrier.d_min)
+        rest = f"; the arm itself comes no nearer than {least}"
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.limited:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
-        else:
-            least = millimetres(snapshot.config.barrier.d_min)
-            rest = f"; the arm itself comes no nearer than {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
     (x, y), (forward, left, _) = _total(why, "f", 2), planar(why.axes, snapshot.base_velocity)
@@ -191,13 +187,12 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     """Describe the controller "barrier": the text has the minimum distance, not d_b."""
-    limited = next((p for p in why.near if p.limited), None)
-    shown = limited or pair
-    cause = _cause(shown, why, None)
     least = millimetres(snapshot.config.barrier.d_min)
-    if limited is None:
+    pair = next((each for each in why.near if each.limited), pair)
+    cause = _cause(pair, why, None)
+    if not pair.limited:
         return f"{cause}; this method acts only near its minimum distance of {least}."
-    moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
+    moves = _base_moves(snapshot, why, pair) or "the base stays where it is"
     effect = _task_effect(why, limited=True) + _off_target(snapshot)
     return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {effect}."
 
