@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import tyro
 
@@ -61,7 +61,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     first = words[:1] if words and not words[0].startswith("-") else []
     named = first or [word for word in words if word in SCENARIOS][:1]
     if not named:
-        return "", run, words
+        return "", command_of(None), words
     check_name("scenario", named[0], SCENARIOS)
     scenario, rest = SCENARIOS[named[0]], list(words)
     rest.remove(scenario.name)
@@ -77,16 +77,8 @@ def _field(word: str) -> str:
     return option[2:].replace("-", "_") if option.startswith("--") else ""
 
 
-def run(
-    setup: options.SetupOptions,
-    parameters: options.ParameterOptions,
-    files: FilesOptions,
-    config: options.ConfigOption = None,
-    fail_on_contact: ContactOption = False,
-    json: options.Json = False,
-) -> None:
+def run() -> NoReturn:
     """Run a scenario, or repeat a case, and print the results."""
-    del setup, parameters, files, config, fail_on_contact, json
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
 
@@ -98,14 +90,14 @@ _LIST = "\n".join(
         f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)",
     ]
 )
-run.__doc__ = f"{run.__doc__}\n\n{_LIST}"
 
 
-def command_of(scenario: Scenario) -> Callable[..., None]:
-    """The command that runs a scenario, with the options of this scenario."""
+def command_of(scenario: Scenario | None) -> Callable[..., None]:
+    """The command that runs a scenario, with its options; without a scenario, it calls `run`."""
+    own = from_record(scenario or Files, only=scenario.options if scenario else ())
 
     def command(
-        scenario_options: Annotated[Given, from_record(scenario, only=scenario.options)],
+        scenario_options: Annotated[Given, own],
         setup: options.SetupOptions,
         parameters: options.ParameterOptions,
         files: FilesOptions,
@@ -113,10 +105,13 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         fail_on_contact: ContactOption = False,
         json: options.Json = False,
     ) -> None:
+        if scenario is None:
+            run()
         spec = common.spec_of_scenario(scenario.name, setup, config, parameters, **scenario_options)
         _run(spec, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
-    command.__doc__ = f"Run {scenario.name}: {scenario.about}."
+    about = f"Run {scenario.name}: {scenario.about}." if scenario else f"{run.__doc__}\n\n{_LIST}"
+    command.__doc__ = about
     return command
 
 

@@ -141,22 +141,27 @@ def run_in_process(
 ) -> Any:
     """Run `work(report, *args)` in a `Child`, and return the result.
 
-    This process calls its own `report` with each report of `work`. The event `cancelled` ends the
-    child and all its children. `niceness`, 0 to 19, is added to the child's niceness.
-
-    Raises:
-        Cancelled: `cancelled` was set.
-        EndedError: The process ended without a result.
-        Exception: The exception of `work`, with its traceback as the cause.
+    This process calls its own `report` with each report of `work`. `niceness`, 0 to 19, is added to
+    the child's niceness. The event `cancelled` ends the child and all its children, and this raises
+    Cancelled. If the child ends without a result, this raises an EndedError. An exception of `work`
+    is raised here, with its traceback as the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
     _running.add(child)
     try:
-        outcome = _receive(child.receiver, report, cancelled)
-        status = child.ended(_PATIENCE)
-        if outcome is None:
-            raise EndedError(f"the process of this work ended with status {status}")
-        return outcome.value()
+        while not cancelled.is_set():
+            if not child.receiver.poll(_CANCEL_EVERY):
+                continue
+            try:
+                received = child.receiver.recv()
+            except (EOFError, OSError):
+                status = child.ended(_PATIENCE)
+                raise EndedError(f"the process of this work ended with status {status}") from None
+            if isinstance(received, Outcome):
+                child.ended(_PATIENCE)
+                return received.value()
+            report(*received)
+        raise Cancelled("cancelled")
     finally:
         _running.discard(child)
         child.end()
@@ -188,20 +193,6 @@ def begin(receiver: int, sender: int, leads_group: bool) -> None:
         taken = stack.enter_context(Connection(sender, readable=False))
         work, args = pickle.loads(given.recv_bytes())
         work(given, taken, *args)
-
-
-def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -> Outcome | None:
-    while not cancelled.is_set():
-        if not receiver.poll(_CANCEL_EVERY):
-            continue
-        try:
-            received = receiver.recv()
-        except (EOFError, OSError):
-            return None
-        if isinstance(received, Outcome):
-            return received
-        report(*received)
-    raise Cancelled("cancelled")
 
 
 @atexit.register
