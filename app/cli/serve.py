@@ -22,8 +22,6 @@ from app.simulation.scenarios.line import Point
 from app.system import return_freed_memory_early
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from app.border.cache import BorderData
     from app.dashboard.server import DashboardServer
     from app.jobs.process import Child
@@ -102,16 +100,19 @@ class _First(NamedTuple):
         data: BorderData,
         config: Config,
         controller: str,
-        q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation at `q_start` (n_m,) or `free_start`, in `waiting` or a new process."""
+        """Begin a simulation: of the first robot in the process `waiting`, or of another robot in a
+        new process. Only the first robot starts as the user asked; another one at `free_start`.
+        """
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
         seed, given = self.setup.seed, (model, data, config)
-        if q_start is None:
-            q_start = free_start(*given, None, seed)
+        if waiting and self.played:
+            q_start = self.played.setting(*given, seed).q_m
+        else:
+            q_start = free_start(*given, self.asked.start if waiting else None, seed)
         how: Any = {"controller": controller, "physics": self.setup.physics, "seed": seed}
         made = ProcessLoop(partial(Session, *given, **how), q_start, waiting)
         made.begin()
@@ -144,12 +145,7 @@ def _opened(first: _First) -> DashboardServer:
     check_address(asked.host, asked.port)
     model = load_model(setup.robot)
     data = _border(model)
-    given = model, data, first.config
-    if first.played is None:
-        q_start = free_start(*given, asked.start, setup.seed)
-    else:
-        q_start = first.played.setting(*given, setup.seed).q_m
-    simulation = first.begin_loop(*given, setup.controller, q_start, first.child)
+    simulation = first.begin_loop(model, data, first.config, setup.controller, first.child)
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()

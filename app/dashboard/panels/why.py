@@ -14,20 +14,18 @@ from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 
-UNDISTURBED = (0.05, 0.2)
-"""[m/s²], [rad/s²] slack below which the end-effector's task counts as met."""
+UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack of an end-effector's task that is met
 BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
 _BODY = "font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em"
-_LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
-    ("base avoidance", "rows of the base in T_sca, (16)", ("base",)),
-    ("arm–base repulsion", "rows of the repulsive method", ("arm",)),
-    ("arm self-repulsion", "rows (20) between links of the arm", ("links",)),
-    ("end-effector task", "slack w_2 of (26)", ("ee",)),
-    ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
-)
-"""Label, hint, and names of the possible levels of each row."""
+_LEVELS: dict[tuple[LevelName, ...], tuple[str, str]] = {  # label and hint of a row for levels
+    ("base",): ("base avoidance", "rows of the base in T_sca, (16)"),
+    ("arm",): ("arm–base repulsion", "rows of the repulsive method"),
+    ("links",): ("arm self-repulsion", "rows (20) between links of the arm"),
+    ("ee",): ("end-effector task", "slack w_2 of (26)"),
+    ("posture", "free"): ("posture", "joint accelerations of the posture task, or of the free arm"),
+}
 
 
 class WhyPanel(Panel):
@@ -59,11 +57,10 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
     force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
     limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
-    more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
     rows = (
         _row("Force on the base", "sum of the forces (14) at the acting points", force),
         _row("Base motion", "true velocity of the base", words.speeds(snapshot.base_velocity)),
-        _row("Limited by", "limits that are active in this control step", limit + more),
+        _row("Limited by", "limits that are active in this control step", limit + _more(bounds)),
     )
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
@@ -123,9 +120,9 @@ def sentence(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
-    first, *more = contacts(snapshot) or [""]
-    also = f" (+{len(more)})" if more else ""
-    return (f"{first.capitalize()} touch{also}. " if first else "") + _answer(snapshot, why)
+    touches = contacts(snapshot)
+    first = f"{touches[0].capitalize()} touch{_more(touches)}. " if touches else ""
+    return first + _answer(snapshot, why)
 
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
@@ -245,8 +242,7 @@ def _the(name: str, why: Explanation) -> str:
 
 
 def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str]:
-    more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
-    name = words.pair(pair.a, pair.b, why.chain) + more
+    name = words.pair(pair.a, pair.b, why.chain) + _more(why.near)
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
     beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
     return [
@@ -298,22 +294,19 @@ def _score_rows(why: Explanation) -> list[str]:
 
 
 def _level_rows(levels: Sequence[Level]) -> list[str]:
-    by_name = {level.name: level for level in levels}
     rows = []
-    for label, hint, names in _LEVELS:
-        level = next((by_name[name] for name in names if name in by_name), None)
+    for names, about in _LEVELS.items():
+        level = next((each for each in levels if each.name in names), None)
         parts = ((level.linear, "m/s²"), (level.angular, "rad/s²")) if level else ()
         texts = [f"{value:.2f} {unit}" for value, unit in parts if (value or 0.0) >= 0.005]
-        none = '<span style="opacity:.8">0</span>' if level else _NONE
-        rows.append(_row(label, hint, ", ".join(texts) or none))
+        rows.append(_row(*about, ", ".join(texts) or (tag("span", "0", FAINT) if level else _NONE)))
     return rows
 
 
 def _bound_rows(why: Explanation) -> list[str]:
-    texts = [words.bound(bound, why.chain) for bound in why.bounds]
+    texts = [words.bound(bound, why.chain) for bound in why.bounds] or [tag("span", "none", FAINT)]
     if len(texts) > BOUNDS_SHOWN:
         texts = [*texts[: BOUNDS_SHOWN - 1], f"and {len(texts) - BOUNDS_SHOWN + 1} more"]
-    texts = texts or ['<span style="opacity:.8">none</span>']
     texts += ["&nbsp;"] * (BOUNDS_SHOWN - len(texts))
     return [row(cell(text, ONE_LINE)) for text in texts]
 
@@ -332,6 +325,11 @@ def _table(title: str, rows: Sequence[str], axes: Sequence[Axis] = ()) -> str:
 def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
     cells = (cell(value, RIGHT, ONE_LINE, span=span) for value in values)
     return row(cell(label, FAINT, ONE_LINE), *cells, hint=hint)
+
+
+def _more(items: Sequence[object]) -> str:
+    """Return the number of items after the first one, as in " (+2)"; "" if there are none."""
+    return f" (+{len(items) - 1})" if len(items) > 1 else ""
 
 
 def _total(why: Explanation, part: str, n: int) -> list[float]:
