@@ -17,8 +17,6 @@ from app.system import write_whole
 if TYPE_CHECKING:
     import numpy as np
 
-    from app.border.cache import BorderData
-    from app.border.dbb import Border
     from app.border.reach import ReachMap
     from app.border.score import ReachFit
     from app.robot.model import RobotModel
@@ -78,6 +76,7 @@ def border(
     options.make_folder(out)
     from app.border.cache import load_border_data
     from app.border.dbb import construct_dbb
+    from app.border.mobile import MobileBody
     from app.border.sampling import SamplingConfig
 
     begin = perf_counter()
@@ -86,9 +85,20 @@ def border(
     loaded = perf_counter()
     borders = [construct_dbb(cloud, config.d_b, config.eps) for cloud in data.clouds.values()]
     selected = perf_counter()
-    if out is not None:
-        for each in borders:
+    body, about = MobileBody(model), {}
+    for each in borders:
+        if out is not None:
             _write_csv(out / f"{each.pair}.csv", "x_m,y_m,z_m", each.points, "%.4f")
+        heights = each.heights.tolist()
+        deviations = abs(body.distance(each.points) - each.d_b).tolist()
+        about[each.pair] = {
+            "points": len(each),
+            "cloud_points": len(data.clouds[each.pair]),
+            "points_beside_base": int((each.heights <= body.upper[2]).sum()),
+            "max_deviation_m": max(deviations, default=None),
+            "lowest_m": min(heights, default=None),
+            "highest_m": max(heights, default=None),
+        }
     result: dict[str, Any] = {
         "robot": robot,
         "seed": seed,
@@ -97,26 +107,9 @@ def border(
         "origin": data.origin,
         "load_s": loaded - begin,
         "select_ms": 1e3 * (selected - loaded),
-        "borders": {each.pair: _of_border(model, data, each) for each in borders},
+        "borders": about,
     }
     print_result(result, json=json)
-
-
-def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str, object]:
-    import numpy as np
-
-    from app.border.mobile import MobileBody
-
-    body, heights = MobileBody(model), border.heights.tolist()
-    deviation = np.abs(body.distance(border.points) - border.d_b)
-    return {
-        "points": len(border),
-        "cloud_points": len(data.clouds[border.pair]),
-        "points_beside_base": int(np.count_nonzero(border.heights <= body.upper[2])),
-        "max_deviation_m": max(deviation.tolist(), default=None),
-        "lowest_m": min(heights, default=None),
-        "highest_m": max(heights, default=None),
-    }
 
 
 def reach(

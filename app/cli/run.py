@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import tyro
 
@@ -15,10 +15,6 @@ from app.simulation.case import RunSpec
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.studies.runs import write_json
-
-if TYPE_CHECKING:
-    from app.robot.model import RobotModel
-    from app.simulation.run import RunResult
 
 _OF_A_CASE = {name: options.PARAMETERS[name] for name in ("buffer_distance", "border")}
 _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
@@ -137,30 +133,13 @@ def run_case(
 
 def _run(asked: RunSpec, files: Files, *, json: bool, fail_on_contact: bool) -> None:
     from app.control.buffer_watch import buffer_warning
+    from app.simulation.trace.log_file import write_trace
     from app.simulation.trace.metrics import touches, verdict
     from app.simulation.trace.words import missing, number_text
 
     model, data = common.load_robot_and_border(asked.robot)
     drawn = files.out is not None or files.log is not None
     result = common.result_of(asked, model, data, drawn=drawn)
-    written = _write(result, files, model)
-    if warning := buffer_warning(result.trace.buffer, asked.config):
-        print(f"warning: {warning}", file=sys.stderr)
-    if json:
-        common.print_json(result.figures)
-    else:
-        print(verdict(result.figures, model.body_names))
-        for key, value in result.figures.items():
-            print(f"  {key:34} {number_text(value, missing(key))}")
-    for path in written:
-        print(printable(f"wrote {path}"), file=sys.stderr if json else None)
-    if fail_on_contact and touches(result.figures):
-        sys.exit(1)
-
-
-def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]:
-    from app.simulation.trace.log_file import write_trace
-
     written = []
     if files.out is not None:
         written += [files.out / "log.csv", files.out / "metrics.json"]
@@ -174,4 +153,15 @@ def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]
             write_mcap(files.log, result.trace, model, ros=files.ros)
         else:
             write_trace(files.log, result.trace)
-    return written
+    if warning := buffer_warning(result.trace.buffer, asked.config):
+        print(f"warning: {warning}", file=sys.stderr)
+    if json:
+        common.print_json(result.figures)
+    else:
+        print(verdict(result.figures, model.body_names))
+        for key, value in result.figures.items():
+            print(f"  {key:34} {number_text(value, missing(key))}")
+    for path in written:
+        print(printable(f"wrote {path}"), file=sys.stderr if json else None)
+    if fail_on_contact and touches(result.figures):
+        sys.exit(1)
