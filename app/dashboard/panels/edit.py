@@ -103,11 +103,8 @@ class EditPanel(Panel):
 
     def _draw(self) -> None:
         chosen, changed = self._body.value, self.changes.shapes
-        wanted = {
-            key
-            for key, (body, i) in self._keys.items()
-            if key == chosen or (body.name, i) in changed
-        }
+        edited = {key for key, (body, i) in self._keys.items() if (body.name, i) in changed}
+        wanted = edited | ({chosen} - {_NONE})
         for key in self._drawn.keys() - wanted:
             self._drawn.pop(key)[1].remove()
         for key in wanted:
