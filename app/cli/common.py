@@ -106,9 +106,9 @@ def spec_of_scenario(
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
     """The run of a case; prints changes of version and parameters since the case was written.
 
-    `setup` can replace controller and plant. `check_no_others` refuses a robot and a seed in
-    `setup`, and the user's `others` options; `word` names the case in its message. An unreadable
-    or invalid file raises a CaseError.
+    `setup` can replace controller and plant. A robot or a seed in `setup`, or an option in `others`
+    that is not None, raises the ConfigError of `check_no_others`, whose argument `case` is `word`.
+    An unreadable or invalid file raises a CaseError.
     """
     check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
     case = read_case(file)
@@ -139,7 +139,7 @@ def filmed(
 
 
 def is_case(word: str) -> bool:
-    """True for the file of a case (.json), False for a scenario; else an `UnknownNameError`."""
+    """Whether a word names a case's file (.json), not a scenario; else an UnknownNameError."""
     if word.lower().endswith(".json"):
         return True
     check_name("scenario", word, SCENARIOS)

@@ -11,14 +11,10 @@ from app.cli.common import load_model, load_robot_and_border, print_json, print_
 from app.config import tunables
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError, check_name
-from app.strict import check_range
+from app.strict import Array, check_range
 from app.system import write_whole
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from app.border.reach import ReachMap
-    from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
 _MAX_SAMPLES = 10_000_000  # [-] largest number of samples
@@ -151,48 +147,46 @@ def reach(
     bodies: dict[str, Any] = {}
     for name in names if body == "all" else [body]:
         say(f"computing the reachability of {name}")
-        fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
-        reach_map = maps.sample_reach_map(model, name, **fine, seed=seed)
-        fit = maps.fit_reachability(reach_map)
-        bodies[name] = _of_reach(model, reach_map, fit)
-        if out is not None:
-            _write_reach(out, reach_map, fit)
+        bodies[name] = _reach_of(name, model, seed, out)
     result = {"robot": robot, "seed": seed, "elapsed_s": perf_counter() - begin, "bodies": bodies}
     print_result(result, json=json)
 
 
-def _of_reach(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str, Any]:
+def _reach_of(name: str, model: RobotModel, seed: int, out: Path | None) -> dict[str, Any]:
+    """The results for a body; writes the body's two files into the folder `out`, if any."""
+    import numpy as np
+
+    from app.border import reach as maps
+    from app.border.score import radial_profile
+
+    fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
+    found = maps.sample_reach_map(model, name, **fine, seed=seed)
+    fit = maps.fit_reachability(found)
+    if out is not None:
+        shells = radial_profile(found.rho, found.reach)
+        fitted = fit.at(shells.rho_m)
+        columns = shells.rho_m, shells.mean, shells.spread, fitted, shells.count
+        head, file = "rho_m,mean,spread,fit,positions", out / f"reach-{name}-radial.csv"
+        _write_csv(file, head, np.column_stack(columns), "%.6g")
+        rows = np.column_stack([found.points, found.rho, found.reach, found.found])
+        _write_csv(out / f"reach-{name}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", rows, "%.6g")
     description = model.description
-    used = description.reachability.get(reach_map.body)
-    carries = description.arm.end_effector_link in description.body(reach_map.body).covers
-    fitted = fit._asdict()
+    used = description.reachability.get(name)
+    carries = description.arm.end_effector_link in description.body(name).covers
+    numbers = fit._asdict()
     return {
-        "positions_fitted": fitted.pop("points"),
-        **fitted,
+        "positions_fitted": numbers.pop("points"),
+        **numbers,
         "paper": _PAPERS_FIT if carries else None,
         "description": used.model_dump(include=set(_PAPERS_FIT)) if used else None,
-        "positions": len(reach_map.found),
-        "samples": reach_map.samples,
-        "solutions": float(reach_map.found.mean()),
-        "free_joints": list(reach_map.free_joints),
+        "positions": len(found.found),
+        "samples": found.samples,
+        "solutions": float(found.found.mean()),
+        "free_joints": list(found.free_joints),
     }
 
 
-def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
-    import numpy as np
-
-    from app.border.score import radial_profile
-
-    profile = radial_profile(reach_map.rho, reach_map.reach)
-    fitted = fit.at(profile.rho_m)
-    shells = np.column_stack([profile.rho_m, profile.mean, profile.spread, fitted, profile.count])
-    positions = np.column_stack([reach_map.points, reach_map.rho, reach_map.reach, reach_map.found])
-    name = f"reach-{reach_map.body}"
-    _write_csv(out / f"{name}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", positions, "%.6g")
-    _write_csv(out / f"{name}-radial.csv", "rho_m,mean,spread,fit,positions", shells, "%.6g")
-
-
-def _write_csv(path: Path, header: str, rows: np.ndarray, form: str) -> None:
+def _write_csv(path: Path, header: str, rows: Array, form: str) -> None:
     """Write rows as a CSV file, without those that have a NaN."""
     import numpy as np
 

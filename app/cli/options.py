@@ -59,7 +59,7 @@ PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTUR
 
 _MAX_PROCESSES = 64
 _USUAL_PROCESSES = 2  # each further process needs 0.5 GB
-_METAVARS = {
+_METAVARS = {  # placeholders of values in the help, by the name of the field
     "allow_host": "NAME",
     "base": "X Y YAW",
     "hinge_position": "X Y",

@@ -75,6 +75,7 @@ def _field(word: str) -> str:
 
 def run() -> NoReturn:
     """Run a scenario, or repeat a case, and print the results."""
+    # The docstring is for the help; this function runs only if the user names no scenario.
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
 

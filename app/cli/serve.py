@@ -90,8 +90,8 @@ class _First(NamedTuple):
 
     setup: options.Setup | RunSpec  # robot, controller, plant and seed
     config: Config
-    asked: Serving
-    played: Scenario | None
+    asked: Serving  # options of the server, and the start
+    played: Scenario | None  # the scenario of the case, if any
     child: Child
 
     def begin_loop(

@@ -34,8 +34,6 @@ _CANCEL_EVERY = 0.1  # [s] time between two checks of the event that cancels
 _PATIENCE = 2.5  # [s] time in which a process can clean up before it is killed
 _BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
 """Code of a child's interpreter: it copies the parent's `sys.path`, then imports this module."""
-_running: set[Child] = set()
-"""Processes of `run_in_process`, which end when this process exits."""
 
 
 class Cancelled(DbbError):  # noqa: N818 - a person's choice, not an error
@@ -147,7 +145,7 @@ def run_in_process(
     is raised here, with its traceback as the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
-    _running.add(child)
+    atexit.register(child.end)  # if this process exits in the meantime
     try:
         while not cancelled.is_set():
             if not child.receiver.poll(_CANCEL_EVERY):
@@ -163,7 +161,7 @@ def run_in_process(
             report(*received)
         raise Cancelled("cancelled")
     finally:
-        _running.discard(child)
+        atexit.unregister(child.end)
         child.end()
 
 
@@ -193,12 +191,6 @@ def begin(receiver: int, sender: int, leads_group: bool) -> None:
         taken = stack.enter_context(Connection(sender, readable=False))
         work, args = pickle.loads(given.recv_bytes())
         work(given, taken, *args)
-
-
-@atexit.register
-def _end_all() -> None:
-    for child in tuple(_running):
-        child.end()
 
 
 def _run(
