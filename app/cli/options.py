@@ -93,19 +93,15 @@ def from_record(
     """The second argument of `Annotated[Given, …]`: a command's options, one for each field.
 
     The command gets a dictionary with the values of only the options that the user set. `record`
-    is a dataclass or pydantic record, or a dataclass instance with the defaults. `only` has the
-    names of the included fields (None: all fields), `leave` those of the excluded fields. `names`
-    maps a field to its option if their names differ. The field `positional` becomes a positional
-    argument.
+    is a dataclass or pydantic record, a dataclass instance with the defaults, or a dictionary of
+    `Field`s. `only` has the names of the included fields (None: all fields), `leave` those of the
+    excluded fields. `names` maps a field to its option if their names differ. The field
+    `positional` becomes a positional argument.
     """
-    found = {name: about for name, about in fields_of(record) if name not in leave}
-    chosen = found if only is None else {name: found[name] for name in found if name in only}
-    return _from_fields(chosen, names or {}, positional)
-
-
-def _from_fields(found: Mapping[str, Field], names: Mapping[str, str], positional: str = "") -> Any:
     kinds: dict[str, Any] = {}
-    for name, about in found.items():
+    for name, about in record.items() if isinstance(record, dict) else fields_of(record):
+        if name in leave or (only is not None and name not in only):
+            continue
         needed, metavar = about.default is MISSING, name.upper() if positional == name else None
         hint = "(required)" if needed else f"(default: {_text(about.default)})"
         hint = "" if about.default in (None, (), "") else hint
@@ -113,11 +109,11 @@ def _from_fields(found: Mapping[str, Field], names: Mapping[str, str], positiona
             usual = {2: "LOW HIGH", 3: "X Y Z"}.get(len(get_args(about.kind)))
             metavar = _METAVARS.get(name, usual)
         look: Any = {"metavar": metavar, "help": about.help, "help_behavior_hint": hint}
-        kind: Any = Annotated[about.kind, tyro.conf.arg(name=names.get(name, name), **look)]
+        kind: Any = Annotated[about.kind, tyro.conf.arg(name=(names or {}).get(name, name), **look)]
         kind = tyro.conf.Positional[kind] if positional == name else kind
         kinds[name] = Required[kind] if needed else kind
-    record = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
-    return tyro.conf.arg(name="", constructor=record)
+    options = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
+    return tyro.conf.arg(name="", constructor=options)
 
 
 def _text(default: Any) -> str:
@@ -181,7 +177,7 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
         kind, unit = (str, about.allowed) if about.choices else (float, about.unit)
         usual = f"{_text(about.default)}, unless robot.toml sets another value"
         found[name] = Field(kind, usual, f"[{unit}] {about.help}")
-    return _from_fields(found, {})
+    return from_record(found)
 
 
 SetupOptions = Annotated[Given, from_record(Setup)]
