@@ -276,7 +276,7 @@ def _warned(name: str, value: str, *, bad: bool) -> str:
 
 
 def pairs_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return a table of all pairs; `spoken` has words for names, in the order of the plots."""
+    """Return a table of all pairs; `spoken` has their displayed names in the order of the plots."""
     distance = cell("distance [mm]", RIGHT, ONE_LINE, span=2)
     beta = cell("activation β", RIGHT, ONE_LINE, "padding-left:1em")
     head = row(cell(), cell("link pair"), distance, beta, style=FAINT)

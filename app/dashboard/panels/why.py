@@ -14,7 +14,7 @@ from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 
-UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack of an end-effector's task that is met
+UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack with which the task counts as met
 BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
@@ -195,7 +195,7 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Describe the overlap of a pair, or its distance and, unless it is None, d_b [m]."""
+    """Describe the overlap of a pair, or its distance and, unless `d_b` is None, d_b [m]."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
