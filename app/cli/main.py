@@ -102,19 +102,17 @@ class _Plain(logging.Formatter):
 
 
 def _run(words: list[str]) -> None:
+    """Run a command; the modules of other commands are not imported."""
     if not words:
         sys.stderr.write(overview())
         sys.exit(2)
-    if words[0] in ("-h", "--help"):
+    name, *rest = words
+    if name in ("-h", "--help"):
         sys.stdout.write(overview())
-    elif words[0] == "--version":
+        return
+    if name == "--version":
         print(f"dbb {metadata.version('dbb-mobile-manipulator')}")
-    else:
-        _run_command(*words)
-
-
-def _run_command(name: str, *words: str) -> None:
-    """Run a command; the modules of other commands are not imported."""
+        return
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
@@ -122,7 +120,7 @@ def _run_command(name: str, *words: str) -> None:
 
     if shutil.get_terminal_size().columns < _NARROWEST:
         os.environ["COLUMNS"] = str(_NARROWEST)  # in fewer columns tyro's help does not end
-    module, rest = import_module(f"app.cli.{_MODULES[name]}"), in_order(words)
+    module, rest = import_module(f"app.cli.{_MODULES[name]}"), in_order(rest)
     function = getattr(module, name.replace("-", "_"))
     if name == "run":  # each scenario has its own options
         scenario, function, rest = module.choose_run(rest)

@@ -10,7 +10,7 @@ import viser
 from app.dashboard.markup import problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.edit import EditPanel
-from app.dashboard.robots import Package, RobotBuild, RobotEntry, new_folder
+from app.dashboard.robots import RobotBuild, RobotEntry, new_folder
 from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
 from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
@@ -138,8 +138,14 @@ class NewRobotPanel(Panel):
             if package is not None:
                 self.fields["file"].options = tuple(package.urdfs)
                 self.fields["out"].value = robot_name(package.archive.stem)
-        if package is not None and self.fields["file"].value != self._shown_urdf:
-            self._offer_links(package)
+        urdf = self.fields["file"].value
+        if package is not None and urdf != self._shown_urdf:
+            self._shown_urdf = urdf
+            if (contents := package.urdfs.get(urdf)) is not None:  # not of the previous zip
+                links, wheels = contents.links, ((FIND, *contents.endless), FIND)
+                offers = {"base": (links, contents.root), "tip": (links, contents.last)}
+                for name, offer in (offers | {"left": wheels, "right": wheels}).items():
+                    self.fields[name].options, self.fields[name].value = offer
         asks = package is not None and progress is None
         for name, field in self.fields.items():
             field.visible = asks and self._suits(name)
@@ -179,17 +185,6 @@ class NewRobotPanel(Panel):
         if name == "file":
             return self._package is not None and len(self._package.urdfs) > 1
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
-
-    def _offer_links(self, package: Package) -> None:
-        """Offer links and wheel joints of the chosen URDF; preselect its root and farthest link."""
-        self._shown_urdf = self.fields["file"].value
-        contents = package.urdfs.get(self._shown_urdf)
-        if contents is None:  # a choice from the previous zip
-            return
-        links, wheels = contents.links, ((FIND, *contents.endless), FIND)
-        offers = {"base": (links, contents.root), "tip": (links, contents.last)}
-        for name, offer in (offers | {"left": wheels, "right": wheels}).items():
-            self.fields[name].options, self.fields[name].value = offer
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:

@@ -37,8 +37,17 @@ class TuningPanel(Panel):
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
         self.on_update(self._all, lambda _: self._show_advanced())
         for section in sections():
+            first = section.name == "border"
             paths = tuple(each.path for each in section.tunables)
-            self._add_folder(section.title, paths, expand=section.name == "border")
+            with self._gui.add_folder(section.title, expand_by_default=first) as folder:
+                for path in paths:
+                    self.widgets[path] = ParameterWidget(viewer, path)
+                if first:  # below the widgets, which must not move under the pointer
+                    self.changing = self._gui.add_html("")
+                undo, icon = (lambda _, paths=paths: tuning.reset(paths)), viser.Icon.ARROW_BACK_UP
+                look: Any = {"color": "gray", "hint": "Reset the parameters of this folder"}
+                reset = self.button("Defaults", undo, icon, disabled=True, **look)
+            self._folders.append((folder, reset, section.title, paths))
         with self._gui.add_folder("File"):
             hint = "Name of the file, without .toml"
             self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
@@ -63,18 +72,6 @@ class TuningPanel(Panel):
         if not self._tuning.changes:
             raise ConfigError("nothing to reset: all parameters have their defaults")
         self._tuning.reset()
-
-    def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
-        folder = self._gui.add_folder(title, expand_by_default=expand)
-        with folder:
-            for path in paths:
-                self.widgets[path] = ParameterWidget(self._viewer, path)
-            if expand:  # below the widgets, which must not move under the pointer
-                self.changing = self._gui.add_html("")
-            look = {"color": "gray", "hint": "Reset the parameters of this folder"}
-            undo, icon = lambda _: self._tuning.reset(paths), viser.Icon.ARROW_BACK_UP
-            reset = self.button("Defaults", undo, icon, disabled=True, **look)
-        self._folders.append((folder, reset, title, paths))
 
     def _show_advanced(self) -> None:
         advanced = self._all.value

@@ -74,10 +74,18 @@ def details_html(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return small("There are no details for this instant.")
-    if why.bearing is None:
+    if (pair := why.bearing) is None:
         return small("Avoidance does not act: no link pair is inside its buffer.")
+    name = words.pair(pair.a, pair.b, why.chain) + _more(why.near)
+    distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
+    beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
+    near = (
+        _row("pair", "deepest overlap; otherwise most active pair, those of the base first", name),
+        _row("distance d", "signed distance of its convex bodies", distance),
+        _row("activation β", "0 outside the buffer, 1 at full activation", beta),
+    )
     tables = (
-        _table("Nearest active pair", _near_rows(snapshot, why, why.bearing))
+        _table("Nearest active pair", near)
         + _table("Force on the base", _force_rows(why), why.axes)
         + _table("Acting point p_act", _score_rows(why))
         + _table("Task error, by priority", _level_rows(why.levels))
@@ -239,17 +247,6 @@ def _off_target(snapshot: Snapshot) -> str:
 
 def _the(name: str, why: Explanation) -> str:
     return f"the {words.body(name, why.chain)}"
-
-
-def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str]:
-    name = words.pair(pair.a, pair.b, why.chain) + _more(why.near)
-    distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
-    beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
-    return [
-        _row("pair", "deepest overlap; otherwise most active pair, those of the base first", name),
-        _row("distance d", "signed distance of its convex bodies", distance),
-        _row("activation β", "0 outside the buffer, 1 at full activation", beta),
-    ]
 
 
 def _force_rows(why: Explanation) -> list[str]:
