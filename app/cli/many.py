@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -99,11 +99,7 @@ def sweep(
     result["files"] = write_sweep(result, out)
     if json:
         print_json(result)
-    else:
-        _print_sweep(result, out)
-
-
-def _print_sweep(result: dict[str, Any], out: Path) -> None:
+        return
     found = [(name, *each) for name, kinds in result["summary"].items() for each in kinds.items()]
     for controller, kind, s in found:
         print(f"{controller}, {kind.replace('_', ' ')}:")

@@ -73,7 +73,14 @@ class RobotPanel(Panel):
         usable = chosen.problem is None and (ended or not here)
         written = escape if self._switch.cancelled else problem
         failed = small(f"{written(reason)}. The robot has not changed.") if reason else ""
-        self.about.content = (about_html(chosen, here=here) if chosen.name else "") + failed
+        lines = (
+            f"<b>{escape(chosen.title)}</b>: {escape(chosen.about) or 'no description'}",
+            "In use." if here else "",
+            "Your own robot." if chosen.own else "",
+            problem(chosen.problem) if chosen.problem else "",
+        )
+        about = small("<br>".join(filter(None, lines))) if chosen.name else ""
+        self.about.content = about + failed
         self._use.disabled = self._switch.progress is not None or not usable
         self._report.visible = chosen.report
 
@@ -185,17 +192,6 @@ class NewRobotPanel(Panel):
         if name == "file":
             return self._package is not None and len(self._package.urdfs) > 1
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
-
-
-def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """Describe a robot, with the reason if it cannot be used; `here`: it is in use."""
-    lines = (
-        f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
-        "In use." if here else "",
-        "Your own robot." if entry.own else "",
-        "" if entry.problem is None else problem(entry.problem),
-    )
-    return small("<br>".join(filter(None, lines)))
 
 
 def report_html(page: str) -> str:

@@ -84,12 +84,16 @@ def details_html(snapshot: Snapshot) -> str:
         _row("distance d", "signed distance of its convex bodies", distance),
         _row("activation β", "0 outside the buffer, 1 at full activation", beta),
     )
+    bounds = [words.bound(each, why.chain) for each in why.bounds] or [tag("span", "none", FAINT)]
+    if len(bounds) > BOUNDS_SHOWN:
+        bounds = [*bounds[: BOUNDS_SHOWN - 1], f"and {len(bounds) - BOUNDS_SHOWN + 1} more"]
+    bounds += ["&nbsp;"] * (BOUNDS_SHOWN - len(bounds))
     tables = (
         _table("Nearest active pair", near)
         + _table("Force on the base", _force_rows(why), why.axes)
         + _table("Acting point p_act", _score_rows(why))
         + _table("Task error, by priority", _level_rows(why.levels))
-        + _table("Active limits", _bound_rows(why))
+        + _table("Active limits", [row(cell(text, ONE_LINE)) for text in bounds])
     )
     return f'<div style="{_BODY}">{tables}</div>'
 
@@ -298,14 +302,6 @@ def _level_rows(levels: Sequence[Level]) -> list[str]:
         texts = [f"{value:.2f} {unit}" for value, unit in parts if (value or 0.0) >= 0.005]
         rows.append(_row(*about, ", ".join(texts) or (tag("span", "0", FAINT) if level else _NONE)))
     return rows
-
-
-def _bound_rows(why: Explanation) -> list[str]:
-    texts = [words.bound(bound, why.chain) for bound in why.bounds] or [tag("span", "none", FAINT)]
-    if len(texts) > BOUNDS_SHOWN:
-        texts = [*texts[: BOUNDS_SHOWN - 1], f"and {len(texts) - BOUNDS_SHOWN + 1} more"]
-    texts += ["&nbsp;"] * (BOUNDS_SHOWN - len(texts))
-    return [row(cell(text, ONE_LINE)) for text in texts]
 
 
 def _table(title: str, rows: Sequence[str], axes: Sequence[Axis] = ()) -> str:
