@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.case import RunSpec
 from app.strict import check_range
-from app.system import write_whole
+from app.system import whole_file, write_whole
 
 _MAX_PICTURES = 12
 Place = Annotated[
@@ -62,9 +61,8 @@ def screenshot(
         snapshots = common.filmed(asked, model, data, at)
         pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
     whole = pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=look.dark)
-    drawn = io.BytesIO()
-    whole.save(drawn, "PNG", optimize=True)
-    write_whole(out, drawn.getvalue())
+    with whole_file(out) as beside:
+        whole.save(beside, "PNG", optimize=True)
     result = {
         "picture": str(out),
         "scenario": asked.scenario.name,
