@@ -29,7 +29,6 @@ COMMANDS = {
 """The commands by topic, each with the module that defines its function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _NARROWEST = 40  # [-] smallest number of columns of a help text
-_ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
 def console() -> NoReturn:
@@ -148,7 +147,8 @@ def _help_texts(doc: str) -> tuple[str, str]:
 
 def overview() -> str:
     """All commands, one on each line, read from the source files because imports take time."""
-    lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version", _ABOUT]
+    lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version"]
+    lines.append("Reactive self-collision avoidance for a mobile manipulator.")
     for title, commands in COMMANDS.items():
         lines.append(f"{title}:")
         for name, module in commands.items():

@@ -18,7 +18,6 @@ from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
-_MAX_CASES = 10_000_000
 
 
 def reproduce(
@@ -145,7 +144,7 @@ def study(
             Default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
-    check_range("--cases", cases, 1, _MAX_CASES)
+    check_range("--cases", cases, 1, 10_000_000)
     chosen, drawn = asdict(options.Setup(**setup)), StudyRange(**ranges)
     parameters = StudyParameters(**chosen, inside=inside, time_stamps=time_stamps, ranges=drawn)
     workers = options.check_processes(processes)

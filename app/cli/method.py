@@ -17,7 +17,6 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
 
-_MAX_SAMPLES = 10_000_000  # [-] largest number of samples
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
 _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, for the end-effector
 
@@ -34,7 +33,7 @@ def pairs(
         samples: Number of random postures of the arm.
         seed: Seed of the random postures.
     """
-    check_range("--samples", samples, 1, _MAX_SAMPLES)
+    check_range("--samples", samples, 1, 10_000_000)
     options.check_seed(seed)
     from app.robot.link_pairs import find_link_pairs
 

@@ -57,8 +57,6 @@ DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Names of options that set a parameter, each with the parameter's path."""
 
-_MAX_PROCESSES = 64
-_USUAL_PROCESSES = 2  # each further process needs 0.5 GB
 _METAVARS = {  # placeholders of values in the help, by the name of the field
     "allow_host": "NAME",
     "base": "X Y YAW",
@@ -233,8 +231,8 @@ def check_seed(seed: int) -> None:
 def check_processes(processes: int | None) -> int:
     """The requested number of processes, or the default: two, or one on a single core."""
     if processes is not None:
-        check_range("--processes", processes, 1, _MAX_PROCESSES)
-    return processes or min(_USUAL_PROCESSES, usable_cores())
+        check_range("--processes", processes, 1, 64)
+    return processes or min(2, usable_cores())  # each further process needs 0.5 GB
 
 
 def in_order(words: Iterable[str]) -> list[str]:

@@ -21,7 +21,6 @@ from app.simulation.case import RunSpec
 from app.strict import check_range
 from app.system import whole_file, write_whole
 
-_MAX_PICTURES = 12
 Place = Annotated[
     tuple[float, float, float] | None, options.NO_DEFAULT, tyro.conf.arg(metavar="X Y Z")
 ]
@@ -48,7 +47,7 @@ def screenshot(
     """
     common.is_case(scenario)
     look = Look(**picture)
-    check_range("--at", len(at), 1, _MAX_PICTURES, "times")
+    check_range("--at", len(at), 1, 12, "times")
     options.check_file("--out", out, (".png",))
     asked = common.spec_named(scenario, setup, config)
     for t in at:
