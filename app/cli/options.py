@@ -23,6 +23,7 @@ from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range, field_docs
 from app.system import is_no_file, own_path, unfinished_folder, usable_cores
 
+_log = logging.getLogger(__name__)
 Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")  # for an option whose default is not displayed
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, NO_DEFAULT]  # an option without a value
@@ -196,7 +197,7 @@ def configured(
 
     tuned = changed(read(file, load_robot(robot).config).config, given or {}, paths)
     if hidden := hidden_robot(robot):
-        logging.getLogger(__name__).warning("%s", hidden)
+        _log.warning("%s", hidden)
     return tuned
 
 
