@@ -143,7 +143,15 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
         return f"Fallback command, because {cause}: torques damp the arm, and the base brakes."
     pair = why.bearing
     if pair is None:
-        return _nothing_near(snapshot, why)
+        name, _, d, *_ = snapshot.nearest
+        a, _, b = name.partition("-")
+        near = f"{_the(b, why)} is {millimetres(d)} from {_the(a, why)}"
+        if why.controller == "none":
+            return f"Nothing is inside the buffer: {near}. Avoidance is off."
+        text = f"Nothing is inside the buffer: {near} (buffer {millimetres(snapshot.d_b)})"
+        moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
+        aim = "to follow the end-effector's task" if why.mode == "tracking" else "and comes to rest"
+        return f"{text}; the base {moves} {aim}." if moves else f"{text}."
     if why.controller == "barrier":
         return _barrier(snapshot, why, pair)
     cause = _cause(pair, why, snapshot.d_b)
@@ -158,18 +166,6 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
         text = f"{cause}, so this method pushes the arm away and does not move the base"
         return f"{text}; {_task_effect(why, limited=True)}{_off_target(snapshot)}."
     return _gives_way(snapshot, why, pair, cause)
-
-
-def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
-    name, _, d, *_ = snapshot.nearest
-    a, _, b = name.partition("-")
-    text = f"Nothing is inside the buffer: {_the(b, why)} is {millimetres(d)} from {_the(a, why)}"
-    if why.controller == "none":
-        return f"{text}. Avoidance is off."
-    text += f" (buffer {millimetres(snapshot.d_b)})"
-    moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
-    aim = "to follow the end-effector's task" if why.mode == "tracking" else "and comes to rest"
-    return f"{text}; the base {moves} {aim}." if moves else f"{text}."
 
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str) -> str:
