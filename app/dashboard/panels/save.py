@@ -10,7 +10,6 @@ from typing import Any, cast
 import viser
 from PIL import Image
 
-from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
 from app.dashboard.job import FILM_RATE, write_film_of, write_log, write_replay, write_report
@@ -82,11 +81,10 @@ class SavePanel(Panel):
         case, last = self._shared.course.case, self._shared.course.last
         if case is None or last is None:
             raise CaseError("there is no case yet; play a scenario first")
-        parameters = {path: last.config.value(path) for path in case.parameters}
-        parameters |= last.config.changes(Config())  # also those changed during the run
+        parameters = {path: last.config.value(path) for path in case.parameters}  # all parameters
         case = case.model_copy(update={"controller": last.controller, "parameters": parameters})
-        name = f"{case.played}.json"
-        event.client.send_file_download(name, case.text().encode(), save_immediately=True)
+        name, data = f"{case.played}.json", case.text().encode()
+        event.client.send_file_download(name, data, save_immediately=True)
 
     def _size(self) -> tuple[int, int]:
         for name, box in self._sizes.items():
