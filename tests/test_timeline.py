@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from app.dashboard.record import BIN, Strip
-from app.dashboard.scene.scene import SceneData
+from app.dashboard.shared import SharedState
 from app.dashboard.timeline import MOST_MARKED, Timeline
 from app.errors import ConfigError, LogError
 from app.simulation.trace import trace
@@ -27,7 +27,7 @@ class Past:
         self._history = History()
         self._history.add(replace(self._snapshot, t=0.0))
         self.strip = Strip(husky_panda().body_names)
-        self._data = SceneData(self, husky_panda(), {}, parts=object())
+        self._data = SharedState(self, husky_panda(), {}, parts=object())
         self._data.keepers = [self.strip]
         self._runs = 0
         self.run(0.0, seconds)

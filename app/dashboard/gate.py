@@ -15,7 +15,7 @@ import struct
 import threading
 from asyncio import get_running_loop
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from html import escape
 from http import HTTPStatus
@@ -150,8 +150,7 @@ class Gate:
         self, inner: Callable[..., Any], connection: _Connection, request: Request
     ) -> Response | None:
         """Return a refusal or `inner`'s answer, with scripts and headers; None for a websocket."""
-        answer = self._refusal(request, connection.method)
-        if answer is None:
+        if (answer := self._refusal(request, connection.method)) is None:
             answer = inner(connection, request)
             answer = await answer if hasattr(answer, "__await__") else answer
             if answer and answer.headers.get("Content-Type", "").startswith("text/html"):
@@ -166,34 +165,37 @@ class Gate:
         return answer
 
     def _refusal(self, request: Request, method: str) -> Response | None:
-        headers = request.headers
+        headers, status, more = request.headers, HTTPStatus.BAD_REQUEST, ""
         path, _, query = request.path.partition("?")
         if method not in _METHODS:
+            status = HTTPStatus.METHOD_NOT_ALLOWED
             why = f"this server does not accept the method {method}; use GET or HEAD"
-            return _refused(HTTPStatus.METHOD_NOT_ALLOWED, why)
-        if twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
+        elif twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             why = f"the request has the header {twice[0]} more than once"
-            return _refused(HTTPStatus.BAD_REQUEST, why)
-        origin, host = headers.get("Origin"), headers.get("Host")
-        if not is_allowed(origin, host, self._own_names, self._allowed):
-            why = "this page is not allowed to connect to this server"
+        elif not is_allowed(
+            headers.get("Origin"), host := headers.get("Host"), self._own_names, self._allowed
+        ):
+            status, why = HTTPStatus.FORBIDDEN, "this page is not allowed to connect to this server"
             name = re.match(r"[\w.-]+", host or "")
             more = _WAY_OUT.format(name=name[0] if name else "NAME")
-            return _refused(HTTPStatus.FORBIDDEN, why, more)
-        if headers.get("Upgrade", "").lower() == "websocket":
+        elif headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
+            status = HTTPStatus.SERVICE_UNAVAILABLE
             why = f"{len(self._uploads)} pages are open: this is the limit of the server"
-            return _refused(HTTPStatus.SERVICE_UNAVAILABLE, why)
-        if len(path) > _LONGEST_PATH:
+        elif len(path) > _LONGEST_PATH:
+            status = HTTPStatus.REQUEST_URI_TOO_LONG
             why = f"the path has {len(path)} characters; the limit is {_LONGEST_PATH}"
-            return _refused(HTTPStatus.REQUEST_URI_TOO_LONG, why)
-        if not _QUERY.fullmatch(query):
+        elif not _QUERY.fullmatch(query):
             why = f"unknown parameter in the address: {query}"
             # A relative address, because a proxy may serve this page below a path.
             more = '<p><a href=".">Open the page without it</a></p>'
-            return _refused(HTTPStatus.BAD_REQUEST, why, more)
-        return None
+        else:
+            return None
+        html = _REFUSAL.format(why=escape(why[:_LONGEST_REASON]), more=more)
+        body = html.encode(errors="replace")
+        fields = {"Content-Length": str(len(body)), "Content-Type": "text/html; charset=utf-8"}
+        return Response(status.value, status.phrase, Headers(fields), body)
 
     async def _handle(self, inner: Callable[..., Any], connection: Any) -> None:
         """Run viser's handler `inner`; it gets only checked messages of pages of this version."""
@@ -207,14 +209,6 @@ class Gate:
             await inner(connection)
         finally:
             self._uploads.discard(uploads)
-
-
-def _refused(status: HTTPStatus, why: str, more: str = "") -> Response:
-    """Return a page with the HTML `more` and with the reason `why`, which is escaped."""
-    html = _REFUSAL.format(why=escape(why[:_LONGEST_REASON]), more=more)
-    body = html.encode(errors="replace")
-    fields = {"Content-Length": str(len(body)), "Content-Type": "text/html; charset=utf-8"}
-    return Response(status.value, status.phrase, Headers(fields), body)
 
 
 class _Connection(ServerConnection):
@@ -289,12 +283,11 @@ def is_allowed(
 
 
 def _is_here(name: str, own_names: Collection[str]) -> bool:
-    try:
+    with suppress(ValueError):
         ipaddress.ip_address(name)
-    except ValueError:
-        known = {"localhost", *own_names, socket.gethostname().lower()}
-        return name.rstrip(".") in known or name.lower().endswith(".localhost")
-    return True
+        return True
+    known = {"localhost", *own_names, socket.gethostname().lower()}
+    return name.rstrip(".") in known or name.lower().endswith(".localhost")
 
 
 def _record(message: type) -> type:

@@ -102,14 +102,12 @@ def open_server(
         return next((each for each in clients if _connection(each) is connection), None)
 
     def widget(connection: Any, uuid: str) -> Any:
-        client = client_of(connection)
-        guis = [server.gui, *([client.gui] if client else [])]
-        known = [gui._gui_input_handle_from_uuid for gui in guis]
+        owners = filter(None, (server, client_of(connection)))
+        known = [owner.gui._gui_input_handle_from_uuid for owner in owners]
         return next((widgets[uuid] for widgets in known if uuid in widgets), None)
 
     def on_refused(connection: Any, refused: RefusedError) -> None:
-        client = client_of(connection)
-        if client is None:
+        if (client := client_of(connection)) is None:
             return
         notifier.warn(client, f"Refused: {refused}.")
         shown = widget(connection, getattr(refused.message, "uuid", ""))
@@ -145,8 +143,7 @@ def scene_picture(
     Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError` if no picture arrives
     within the timeout [s].
     """
-    connection = _connection(client)
-    if connection is None:
+    if (connection := _connection(client)) is None:
         raise RuntimeError("the page has disconnected")
     with _pictures:
         connection.protocol.max_message_size += LARGEST_PICTURE  # until the picture is here

@@ -28,8 +28,9 @@ from app.dashboard.scene import colours
 from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
 from app.dashboard.scene.canvas import Lens, in_world
 from app.dashboard.scene.colours import Rgb, css, set_theme
-from app.dashboard.scene.layers import nearness
-from app.dashboard.scene.scene import Scene, SceneData
+from app.dashboard.scene.layers import standings
+from app.dashboard.scene.scene import Scene
+from app.dashboard.shared import SharedState
 from app.dashboard.verdict import COLOURS
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
@@ -117,7 +118,7 @@ class OffscreenScene:
     ) -> None:
         """Send all constant objects; draw labels if `labels`. Errors are those of `RobotParts`."""
         self._server, self._loop = server, loop
-        self._data = SceneData(loop, model, clouds)
+        self._data = SharedState(loop, model, clouds)
         self._view = View.first(self._data.mobile, [])
         apply_look(self._view, look)
         set_theme(server.gui, dark=look.dark)
@@ -136,7 +137,8 @@ class OffscreenScene:
 
     def outline(self, base_pose: np.ndarray) -> None:
         """Draw a rectangle on the floor: the outline of the base at a pose (3,) [m, m, rad]."""
-        around = np.vstack([body.corners() for body in self._data.parts.bodies if not body.joint])
+        fixed = [body for body in self._data.parts.bodies if not body.joint]
+        around = np.vstack([body.corners(pin.SE3.Identity()) for body in fixed])
         (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
         corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
         corners = in_world(base_pose, corners)
@@ -301,8 +303,7 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     """Return four lines: method, task, clearance, and the base's displacement since `first`."""
-    method = METHOD_WORDS.get(shown.controller, shown.controller)
-    near = nearness(shown, door=shown.door is not None)
+    method, near = next(standings(shown))
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     task = "a person pulls the end-effector"
     if shown.mode == "tracking":
@@ -328,10 +329,9 @@ def captioned(
     if posed:
         lines = ["Preview, not simulated"]
     if not (named and shown.ghosts):
-        robots = zip((shown, *shown.ghosts), (INK[look.dark], *colours.GHOSTS), strict=False)
-        for robot, colour in robots:
-            method = METHOD_WORDS.get(robot.controller, robot.controller)
-            lines.append((f"{method}: {nearness(robot, door=shown.door is not None)}", colour))
+        shades = (INK[look.dark], *colours.GHOSTS)
+        robots = zip(standings(shown), shades, strict=False)
+        lines += [(f"{method}: {near}", colour) for (method, near), colour in robots]
     return label(picture, lines, dark=look.dark)
 
 

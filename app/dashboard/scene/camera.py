@@ -30,7 +30,7 @@ _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the pic
 
 
 class Window(NamedTuple):
-    """The area of a page that shows the scene; its upper and lower ends can be covered."""
+    """The area of a page that shows the scene; cards and drawers can cover its ends."""
 
     aspect: float = 1.5  # [-] ratio of width to height
     covered: float = 0.0  # [-] share of the height that is covered from below
@@ -38,12 +38,12 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Return a window from the browser's sizes [px] and covered shares [-], within limits.
+        """Return a window from sizes [px] and covered shares [-] of a page, within limits.
 
-        Impossible values give `ANY_WINDOW`; the browser's sizes are 0 at first.
+        Impossible values, such as the sizes 0 of a new page, give the default window.
         """
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
-            return ANY_WINDOW
+            return cls()
         aspect = float(np.clip(width / height, 0.4, 4.0))
         covered = min(float(below), _MOST_COVERED[1])
         return cls(aspect, covered, min(float(above), _MOST_COVERED[0] - covered))
@@ -81,8 +81,9 @@ PRESETS = {  # by name
 class Camera:
     """Moves the camera of one client.
 
-    The browser reports each new position after a delay, together with the viewer's own changes. So
-    a new step waits until the last position is confirmed: otherwise one of the changes is lost.
+    The browser reports each new position after a delay, together with the viewer's own changes.
+    Therefore the program moves the camera again only after the browser has confirmed the last
+    position; otherwise the viewer's change would be lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
