@@ -85,8 +85,8 @@ class Job:
             self.progress = Progress(title, time.monotonic(), text)
         self.problem = ""
         self._cancelled.clear()
-        work_of = partial(self._work, title, work)
-        self._thread = threading.Thread(target=work_of, name="job", daemon=True)
+        what = title, work
+        self._thread = threading.Thread(target=self._work, args=what, name="job", daemon=True)
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:

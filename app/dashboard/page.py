@@ -1,7 +1,5 @@
 """Page of one viewer: its panels, layers, camera and point in time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -44,7 +42,7 @@ class Page(Viewer):
         client: viser.ClientHandle,
         shared: SharedState,
         notifier: Notifier,
-        before: Page | None = None,
+        before: "Page | None" = None,
     ) -> None:
         """Create the page of a client; `before` is the client's closed page of another robot."""
         super().__init__(client, notifier, shared, before)
@@ -132,7 +130,7 @@ class Page(Viewer):
         """Show an error at the top of the right column until the page is replaced."""
         _show(self._banner, banner("error", title, plain(error)))
 
-    def with_robot(self, shared: SharedState) -> Page:
+    def with_robot(self, shared: SharedState) -> "Page":
         """Return a page of another robot in place of this page, or this page if it is closed."""
         if self.closed:
             return self

@@ -1,9 +1,7 @@
 """Robots of the page: replacement of the running robot, and new robots from a zip."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
@@ -47,7 +45,7 @@ def robot_entries() -> list[RobotEntry]:
     for name in assets.robot_names():
         title, about, problem = name, "", None
         page = assets.robot_folder(name) / "report.html"
-        own, report = assets.is_own(name), page.is_file() and not page.is_symlink()
+        report = page.is_file() and not page.is_symlink()
         try:
             description = load_robot(name)
             title = description.title
@@ -55,7 +53,7 @@ def robot_entries() -> list[RobotEntry]:
             _NEEDED(description)
         except DbbError as error:
             problem = str(error)
-        entries.append(RobotEntry(name, title, about, problem, own, report))
+        entries.append(RobotEntry(name, title, about, problem, assets.is_own(name), report))
     return entries
 
 
@@ -71,12 +69,7 @@ class RunningRobot(NamedTuple):
     model: RobotModel
     clouds: Mapping[str, Cloud]  # P_i of all pairs of arm and base, by the pairs' names
     parts: RobotParts
-    config: Config
     note: str  # message for the viewers, or an empty string
-
-
-def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
-    return next((each for each in entries if each.name == name), None)
 
 
 class RobotSwitch(Job):
@@ -106,7 +99,9 @@ class RobotSwitch(Job):
         parameters if its simulation does not start with `changes`. Raises `ConfigError` if the
         robot does not exist or cannot be used, or if another switch is running.
         """
-        entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
+        if name not in [each.name for each in self.entries]:
+            self.look()  # the robot may be new
+        entry = next((each for each in self.entries if each.name == name), None)
         if entry is None or self._start_loop is None:
             raise ConfigError(f"the robot {name!r} does not exist, or cannot be used here")
         if entry.problem is not None:
@@ -155,10 +150,9 @@ class RobotSwitch(Job):
         except DbbError as error:
             if config == usual or self.cancelled:
                 raise
-            config = usual
             note = f"all parameters have their defaults: yours do not suit this robot ({error})"
-            loop = self._started(model, data, config, controller)
-        return RunningRobot(loop, model, data.clouds, parts, config, note)
+            loop = self._started(model, data, usual, controller)
+        return RunningRobot(loop, model, data.clouds, parts, note)
 
     def _started(
         self, model: RobotModel, data: BorderData, config: Config, controller: str

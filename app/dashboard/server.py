@@ -210,7 +210,8 @@ class DashboardServer:
         if (robot := switch.take()) is None:
             return
         try:
-            self.shared, self._failure = self.shared.followed_by(robot), None
+            shown, before = (robot.loop, robot.model, robot.clouds, robot.parts), self.shared
+            self.shared, self._failure = SharedState(*shown, before=before), None
             for number in list(self.pages):
                 self._build_page(self.pages[number].client)
         finally:

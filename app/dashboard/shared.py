@@ -1,7 +1,5 @@
 """State that all viewers share: simulation, parameters with their history, and background jobs."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
@@ -17,7 +15,7 @@ from app.dashboard import phrases as words
 from app.dashboard.explorer import Explorer
 from app.dashboard.plans import plot_plans, quantities
 from app.dashboard.record import Course, Strip, Track
-from app.dashboard.robots import RobotBuild, RobotSwitch, RunningRobot
+from app.dashboard.robots import RobotBuild, RobotSwitch
 from app.dashboard.scene.borders import Borders
 from app.dashboard.scene.robot import RobotParts
 from app.errors import ConfigError
@@ -136,9 +134,12 @@ class SharedState:
         *,
         case: Scenario | None = None,
         robot_switch: RobotSwitch | None = None,
-        before: SharedState | None = None,
+        before: "SharedState | None" = None,
     ) -> None:
-        """Continue history and jobs of the state `before`; the rest is as in `serve_dashboard`."""
+        """Replace the state `before` of another robot, and continue its jobs and parameter history.
+
+        The other arguments are those of `serve_dashboard`.
+        """
         self._newest = first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
         self.case = case  # a scenario that a button plays, or None
@@ -150,8 +151,6 @@ class SharedState:
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
-        usual = model.description.config
-        self.tuning = before.tuning if before else Tuning(loop, first.config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.plans = plot_plans(model, self.pairs, self.of_door)
@@ -165,17 +164,15 @@ class SharedState:
         self.keepers = [*tracks, self.course, self.strip]  # get each snapshot
         self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._watched = True
+        usual = model.description.config
+        self.tuning = before.tuning if before else Tuning(loop, first.config, usual)
+        if before is not None:  # last, because an error leaves the state `before` in use
+            self.tuning.move_to(loop, first.config, usual)
 
     @cached_property
     def explorer(self) -> Explorer:
         """Explorer of postures, for the drawing thread; it is created at its first use."""
         return Explorer(self.model, self.clouds, self.loop.latest())
-
-    def followed_by(self, robot: RunningRobot) -> SharedState:
-        """Return the shared state of another robot, with the history of parameters and the jobs."""
-        after = SharedState(robot.loop, robot.model, robot.clouds, robot.parts, before=self)
-        self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
-        return after
 
     def update(self) -> None:
         """Add each new snapshot once to all keepers; after a restart, reset the keepers."""

@@ -57,7 +57,7 @@ class Timeline:
             if self.begin is not None and self.end is None:
                 self._marked += self._loop.stored(self._marked[-1].t)
                 if self._marked[-1].t - self.begin > MOST_MARKED:
-                    self._cut(self.begin + MOST_MARKED)
+                    self._mark(self.begin, self.begin + MOST_MARKED)
             if (replay := self._replay) is not None:
                 began, t, speed = replay
                 t += (monotonic() - began) * speed
@@ -112,11 +112,9 @@ class Timeline:
         A later end in the same run remains, but it is at most `MOST_MARKED` after the start.
         """
         with self._lock:
-            self.begin, end = self.shown().t, None if self.earlier else self.end
-            self.end = None
-            self._marked = self._stored(self.begin)
-            if end is not None and end > self.begin:
-                self._cut(min(end, self.begin + MOST_MARKED))
+            begin, end = self.shown().t, None if self.earlier else self.end
+            end = None if end is None or end <= begin else min(end, begin + MOST_MARKED)
+            self._mark(begin, end)
 
     def mark_end(self) -> None:
         """Mark the shown instant as the end of the interval; `LogError` if it is the start.
@@ -127,15 +125,10 @@ class Timeline:
             at = self.shown().t  # an interval without an end has all snapshots now
             if self.begin == at and not self.earlier:
                 raise LogError("the end must be later than the start; show a later instant first")
-            if self.begin is None or self.earlier or self.begin > at:
-                self._marked = self._stored(at - MOST_MARKED)
-                self.begin = min(self._marked[0].t, at)
-            elif self.end is not None and self.end < at:
-                last = self._marked[-1].t if self._marked else self.begin
-                self._marked += [stored for stored in self._stored(self.begin) if stored.t > last]
-            self.begin = max(self.begin, at - MOST_MARKED)
-            self._marked = [stored for stored in self._marked if stored.t >= self.begin]
-            self._cut(at)
+            begin = self.begin
+            if begin is None or self.earlier or begin > at:
+                begin = min(self._stored(at - MOST_MARKED)[0].t, at)
+            self._mark(max(begin, at - MOST_MARKED), at)
 
     def unmark(self) -> None:
         with self._lock:
@@ -167,6 +160,10 @@ class Timeline:
         old = [stored for stored in tuple(self._strip.past) if stored.t < kept[0].t]
         return [stored for stored in (*old, *kept) if stored.t >= begin]
 
-    def _cut(self, end: float) -> None:
-        self.end = end
-        self._marked = [s for s in self._marked if s.t <= end + 1e-9]
+    def _mark(self, begin: float, end: float | None) -> None:
+        """Mark an interval [s], with the snapshots of its previous marks in this run."""
+        marked = [] if self.earlier else self._marked
+        known = {stored.t: stored for stored in (*self._stored(begin), *marked)}
+        last = np.inf if end is None else end + 1e-9
+        self._marked = [known[t] for t in sorted(known) if begin <= t <= last]
+        self.begin, self.end = begin, end

@@ -1,7 +1,5 @@
 """Camera of one viewer: named views of the robot, and a mode that follows the base."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from time import monotonic
 from typing import Literal, NamedTuple
@@ -37,7 +35,7 @@ class Window(NamedTuple):
     above: float = 0.0  # [-] share of the height that is covered from above
 
     @classmethod
-    def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
+    def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> "Window":
         """Return a window from sizes [px] and covered shares [-] of a page, within limits.
 
         Impossible values, such as the sizes 0 of a new page, give the default window.

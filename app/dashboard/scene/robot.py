@@ -102,10 +102,10 @@ class RobotParts:
             groups.setdefault((visual.joint, visual.colour), []).append(mesh)
         lights = []
         for i, ((joint, shade), meshes) in enumerate(groups.items()):
-            mesh = trimesh.util.concatenate(meshes)
-            mesh.merge_vertices(merge_norm=True)  # undoes the duplication of vertices
-            mesh = for_display(mesh, LIGHT_FACES, AGGRESSIONS[-1:])
-            lights.append(Visual(f"light_{i}", joint, pin.SE3.Identity(), mesh, shade))
+            whole = trimesh.util.concatenate(meshes)
+            whole.merge_vertices(merge_norm=True)  # undoes the duplication of vertices
+            light = for_display(whole, LIGHT_FACES, AGGRESSIONS[-1:])
+            lights.append(Visual(f"light_{i}", joint, pin.SE3.Identity(), light, shade))
         return lights
 
     def _extent(self, robot: RobotDescription) -> Array:
