@@ -726,7 +726,7 @@ def test_border_is_redrawn_only_after_a_change(scene, borders):
     assert cloud.update(view, config.model_copy(update={"d_b": 0.2}))
     view.borders["lm-l3"] = "determinant"
     assert cloud.update(view, config)
-    assert [legend.pair for legend in cloud.legends] == ["lm-lEE", "lm-l3"]
+    assert [legend.pair for legend in cloud.legends] == ["end-effector – base", "forearm – base"]
     assert [legend.title[:3] for legend in cloud.legends] == ["Sco", "Mob"]
 
 

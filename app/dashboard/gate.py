@@ -39,8 +39,8 @@ _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] longest time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
 _QUERY = re.compile(r"(fixedDpr=([1-4]|[0-3]\.\d{1,3}))?")
-"""The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
-parameters are refused, because one of them selects another server."""
+"""Allowed query of an address: drawn pixels per pixel of the page. viser's other parameters are
+refused, because one of them selects another server."""
 _LONGEST_PATH = 255  # [characters] length of a path; no file of the page has a longer one
 _MOST_UPLOADS = 2  # [-] simultaneous uploads
 _LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
@@ -74,8 +74,8 @@ _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
 _REQUEST = re.compile(rb"([A-Z]+) (\S+) HTTP/1\.[01]\r\n")
 _METHODS = "GET", "HEAD"
 _PORTS = {"http": 80, "https": 443}
+# Headers that may occur once only, because this module or viser reads a single value.
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
-"""Headers that may occur once only, because this module or viser reads a single value."""
 _lock = threading.Lock()
 
 _TAKEN = (
@@ -214,8 +214,8 @@ class Gate:
 class _Connection(ServerConnection):
     """A connection that answers every HTTP request, and returns checked messages only.
 
-    The library `websockets` answers only GET requests of HTTP/1.1. But proxies send requests of
-    HTTP/1.0, and health checks send HEAD requests.
+    The library `websockets` answers only GET requests of HTTP/1.1, but proxies send HTTP/1.0, and
+    health checks send HEAD requests.
     """
 
     method = "GET"  # method of the HTTP request, such as "HEAD"
@@ -292,15 +292,13 @@ def _is_here(name: str, own_names: Collection[str]) -> bool:
 
 def _record(message: type) -> type:
     """Return a record type for a type of viser message; msgspec checks the types of its fields."""
-    hints = get_type_hints(message)
+    name, hints = message.__name__, get_type_hints(message)
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
         for f in dataclasses.fields(message)
         if f.init
     ]
-    return msgspec.defstruct(
-        message.__name__, fields, tag_field="type", tag=message.__name__, forbid_unknown_fields=True
-    )
+    return msgspec.defstruct(name, fields, tag_field="type", tag=name, forbid_unknown_fields=True)
 
 
 _RECORDS = {message: _record(message) for message in _TAKEN}

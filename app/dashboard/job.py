@@ -41,7 +41,7 @@ def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector, and return the freed memory to the system.
 
     Python itself rarely searches old objects, such as a model or a border, for reference cycles.
-    If `frozen`, the objects that `gc_frozen` has excluded are searched too, and then all remaining
+    If `frozen`, the search includes the objects that `gc_frozen` has excluded; then all remaining
     objects are excluded.
     """
     frozen &= gc.get_freeze_count() > 0
@@ -129,8 +129,7 @@ class Job:
             logger.exception("%s failed", title)
             problem = f"{title}: {plain(error)}"
         finally:
-            self.problem = problem
-            self.progress = None
+            self.problem, self.progress = problem, None
             give_back(frozen=self.replaces_robot)
 
 
@@ -172,7 +171,7 @@ def build_robot(report: Report, request: Request) -> None:
         report(step, share)
 
     pool = partial(helpers, _CORES)
-    finish(request, pool, tell=tell, processes=_CORES, on_progress=lambda x: tell(step, x))
+    finish(request, pool, tell=tell, processes=_CORES, on_progress=lambda x: report(step, x))
 
 
 def write_log(report: Report, trace: Trace, log: Path) -> None:

@@ -90,9 +90,7 @@ class Page(Viewer):
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
         if self._border.update(self.view, shown.border):
-            spoken, legends = self.shared.spoken, self._border.legends
-            named = [each._replace(pair=spoken[each.pair]) for each in legends]
-            self._why.legend.content = legend_html(named)
+            self._why.legend.content = legend_html(self._border.legends)
         with self.client.atomic():
             if self._look != (self.view.dark, self.view.light):
                 self._look = self.view.dark, self.view.light

@@ -76,18 +76,17 @@ class Course:
             self.inside = touches
         else:
             self.path += float(np.linalg.norm(place - self._place))
-        self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
-        self.last = snapshot
-        self.duration = snapshot.scenario_ends or snapshot.t
+        self._place, self.name, self.last = place, snapshot.scenario, snapshot
+        self.until, self.duration = snapshot.t, snapshot.scenario_ends or snapshot.t
         self.least = min(self.least, snapshot.nearest.d)
         for score in snapshot.scores[:1]:  # of all steps, not of snapshots only
             self.least, self.path = min(self.least, score.clearance), score.base_path
         self.pull = max(self.pull, pulled(snapshot))
         self.speed = max(self.speed, snapshot.ee_speed)
-        self.left = self.left or (self.inside and not touches)
-        self.inside = self.inside and touches
-        self.touched = self.touched or (touches and not self.inside)
-        self.contact = self.contact or snapshot.touches
+        self.left |= self.inside and not touches
+        self.inside &= touches
+        self.touched |= touches and not self.inside
+        self.contact |= snapshot.touches
 
     @property
     def outcome(self) -> Outcome:
@@ -152,8 +151,7 @@ class Strip:
         if t - seen <= _QUIET and number in self.events:
             self.events[number] = self.events[number]._replace(text=text)
         else:
-            number = self._numbered
-            self._numbered += 1
+            number, self._numbered = self._numbered, self._numbered + 1
             self.events[number] = Event(t, kind, text)
             self.events.pop(number - 400, None)  # at most 400 are stored
         self._seen[kind, subject] = number, t

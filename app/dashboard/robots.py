@@ -69,6 +69,7 @@ class RunningRobot(NamedTuple):
     model: RobotModel
     clouds: Mapping[str, Cloud]  # P_i of all pairs of arm and base, by the pairs' names
     parts: RobotParts
+    config: Config
     note: str  # message for the viewers, or an empty string
 
 
@@ -150,9 +151,10 @@ class RobotSwitch(Job):
         except DbbError as error:
             if config == usual or self.cancelled:
                 raise
+            config = usual
             note = f"all parameters have their defaults: yours do not suit this robot ({error})"
-            loop = self._started(model, data, usual, controller)
-        return RunningRobot(loop, model, data.clouds, parts, note)
+            loop = self._started(model, data, config, controller)
+        return RunningRobot(loop, model, data.clouds, parts, config, note)
 
     def _started(
         self, model: RobotModel, data: BorderData, config: Config, controller: str

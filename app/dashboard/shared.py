@@ -136,10 +136,7 @@ class SharedState:
         robot_switch: RobotSwitch | None = None,
         before: "SharedState | None" = None,
     ) -> None:
-        """Replace the state `before` of another robot, and continue its jobs and parameter history.
-
-        The other arguments are those of `serve_dashboard`.
-        """
+        """Use jobs and parameters of the state `before`; the rest is as in `serve_dashboard`."""
         self._newest = first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
         self.case = case  # a scenario that a button plays, or None
@@ -166,8 +163,6 @@ class SharedState:
         self._watched = True
         usual = model.description.config
         self.tuning = before.tuning if before else Tuning(loop, first.config, usual)
-        if before is not None:  # last, because an error leaves the state `before` in use
-            self.tuning.move_to(loop, first.config, usual)
 
     @cached_property
     def explorer(self) -> Explorer:

@@ -117,7 +117,7 @@ class OffscreenScene:
         labels: bool = True,
     ) -> None:
         """Send all constant objects; draw labels if `labels`. Errors are those of `RobotParts`."""
-        self._server, self._loop = server, loop
+        self._server, self._loop, self._look = server, loop, look
         self._data = SharedState(loop, model, clouds)
         self._view = View.first(self._data.mobile, [])
         apply_look(self._view, look)
@@ -125,7 +125,6 @@ class OffscreenScene:
         self._scene = Scene(server.scene, self._data, self._view)
         self._scene.canvas.labels = labels
         self._lens: Lens | None = None
-        self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
         """Aim the camera at `shown` as `placed` does; return eye and target (3,) [m, world]."""
@@ -289,8 +288,7 @@ def film_pictures(
             at = target + pin.utils.rotate("z", (k - 1) * orbit) @ (eye - target)
             values = [BARRIER, k, at.tolist(), target.tolist(), ground]
             jpeg = base64.b64decode(page.evaluate("values => dbbPage.still(values)", values))
-            picture = Image.open(io.BytesIO(jpeg)).convert("RGB")
-            shown = loop.go_to(t)
+            picture, shown = Image.open(io.BytesIO(jpeg)).convert("RGB"), loop.latest()
             if framed:
                 yield label(picture, story(shown, first), dark=look.dark)
             else:
@@ -321,13 +319,12 @@ def captioned(
 ) -> Image.Image:
     """Write scenario and time into a picture, then method and clearance of each robot.
 
-    If `posed`, a note replaces scenario and time, because a posture is not simulated. If `named`,
-    method and clearance are omitted in a comparison, because the picture has labels with them.
+    If `posed`, the picture shows a posture that is not simulated: a note replaces scenario and
+    time. If `named`, the picture of a comparison already has labels with methods and clearances.
     """
     scenario = f"{shown.scenario}, " if shown.scenario else ""
-    lines: list[str | tuple[str, Rgb]] = [f"{scenario}t = {shown.t:.2f} s"]
-    if posed:
-        lines = ["Preview, not simulated"]
+    first = "Preview, not simulated" if posed else f"{scenario}t = {shown.t:.2f} s"
+    lines: list[str | tuple[str, Rgb]] = [first]
     if not (named and shown.ghosts):
         shades = (INK[look.dark], *colours.GHOSTS)
         robots = zip(standings(shown), shades, strict=False)

@@ -99,7 +99,8 @@ class Borders:
         low, high = float(values.min()), float(values.max())
         u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)
         title, unit = title_of(quantity, self._model.description.base.kind)
-        legend = Legend(pair, title, unit, d_b, low, high, len(keep), len(points), top)
+        name, sizes = words.spoken(pair, self._model.body_names), (len(keep), len(points))
+        legend = Legend(name, title, unit, d_b, low, high, *sizes, top)
         return ColouredCloud(points[keep], viridis(u), legend)
 
     def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:

@@ -34,7 +34,7 @@ def measure_of(kind: str) -> BaseMeasure:
 
 
 class Legend(NamedTuple):
-    pair: str  # name of the pair of arm and base
+    pair: str  # displayed name of the pair of arm and base
     title: str  # name of the quantity, as HTML
     unit: str  # of the quantity; may be empty
     d_b: float  # [m] buffer distance

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -102,7 +102,7 @@ class RobotParts:
             groups.setdefault((visual.joint, visual.colour), []).append(mesh)
         lights = []
         for i, ((joint, shade), meshes) in enumerate(groups.items()):
-            whole = trimesh.util.concatenate(meshes)
+            whole: Any = trimesh.util.concatenate(meshes)
             whole.merge_vertices(merge_norm=True)  # undoes the duplication of vertices
             light = for_display(whole, LIGHT_FACES, AGGRESSIONS[-1:])
             lights.append(Visual(f"light_{i}", joint, pin.SE3.Identity(), light, shade))
