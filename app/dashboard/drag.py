@@ -100,8 +100,8 @@ class Grip:
                 self._target, self._by_keys = np.array(snapshot.p_ee), True
             step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ np.clip(ahead, -1.0, 1.0)
             reach = self._target + NUDGE * step - snapshot.p_ee
-            scale = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
-            self._target = snapshot.p_ee + scale * reach
+            reach *= MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
+            self._target = snapshot.p_ee + reach
             self.pull(self._target, by_keys=True)
 
     def release_keys(self) -> None:

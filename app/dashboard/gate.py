@@ -4,8 +4,6 @@ viser has no hook for these checks. Therefore this module wraps the functions th
 `websockets` when its server starts. viser itself does not check the types of a message's fields.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import ipaddress
 import math
@@ -147,7 +145,7 @@ class Gate:
             raise ServerError("this version of viser starts its server in an unknown way")
 
     async def _answer(
-        self, inner: Callable[..., Any], connection: _Connection, request: Request
+        self, inner: Callable[..., Any], connection: "_Connection", request: Request
     ) -> Response | None:
         """Return a refusal or `inner`'s answer, with scripts and headers; None for a websocket."""
         if (answer := self._refusal(request, connection.method)) is None:
@@ -220,7 +218,7 @@ class _Connection(ServerConnection):
 
     method = "GET"  # method of the HTTP request, such as "HEAD"
     gate: Gate
-    uploads: Uploads
+    uploads: "Uploads"
 
     def data_received(self, data: bytes) -> None:
         """Read data; replace the first line of a request by that of GET and HTTP/1.1."""
@@ -308,7 +306,7 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 class Uploads:
     """Register of a viewer's unfinished uploads; viser stores parts of unknown files forever."""
 
-    def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
+    def __init__(self, largest: int, everyone: Collection["Uploads"] = ()) -> None:
         """Accept files of up to `largest` [bytes], and `_MOST_UPLOADS` of `everyone` at a time."""
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}

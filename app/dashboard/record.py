@@ -59,8 +59,8 @@ class Course:
         self.least = np.inf  # [m] smallest distance of all pairs
         self.pull = self.speed = 0.0  # [N] largest external force; [m/s] peak end-effector speed
         self.path = 0.0  # [m] length of the base's path
-        self.inside = self.left = False  # whether a touch of the first snapshot lasts; has ended
-        self.touched = self.contact = False  # a touch began later; the plant reported contact
+        self.inside = self.left = False  # a touch of the first snapshot still lasts; has ended
+        self.touched = self.contact = False  # another touch began; the plant reported a contact
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
@@ -189,10 +189,8 @@ def happenings(
     for old, pair in zip(before.pairs, now.pairs, strict=True):
         if pair.beta > 0.0 and old.beta == 0.0:
             yield "buffer", pair.name, f"{spoken[pair.name]} inside the buffer"
-    met, meets = (
-        {words.bound(bound, chain) for bound in s.explanation.bounds} if s.explanation else set()
-        for s in (before, now)
-    )
+    both = before.explanation, now.explanation
+    met, meets = ({words.bound(b, chain) for b in why.bounds} if why else set() for why in both)
     yield from (("limit", text, text) for text in sorted(meets - met))
     if (text := touching(now, spoken)) and not touching(before):
         yield "contact", "", text

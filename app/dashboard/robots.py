@@ -22,8 +22,8 @@ from app.simulation.plants import default_plant
 from app.system import remove_abandoned, temporary_folder
 
 _NEEDED = assets.resolved_urdf if default_plant() == "planar" else assets.bare_urdf
-"""Raises `AssetError` if a file of a robot is missing that the default plant needs. pybullet
-(`planar`) needs every mesh; without a mesh, MuJoCo and the page use the convex bodies."""
+"""Raises `AssetError` if a robot lacks a file that the default plant needs. pybullet (`planar`)
+needs every mesh; without a mesh, MuJoCo and the page use the convex bodies."""
 
 
 class RobotEntry(NamedTuple):
@@ -96,9 +96,9 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
-        The new robot gets the present controller and the parameters `changes`, or its default
-        parameters if its simulation does not start with `changes`. Raises `ConfigError` if the
-        robot does not exist or cannot be used, or if another switch is running.
+        The robot gets the present controller and the parameters `changes`, or its defaults if its
+        simulation does not start with `changes`. Raises `ConfigError` if the robot does not exist
+        or cannot be used, or if another switch is running.
         """
         if name not in [each.name for each in self.entries]:
             self.look()  # the robot may be new

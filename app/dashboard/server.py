@@ -99,7 +99,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the pull of a silent browser if its target did not move for over `PATIENCE`."""
+        """Release the pull of a viewer if the pull's target has not moved for over `PATIENCE`."""
         if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
@@ -125,8 +125,8 @@ class DashboardServer:
     def _draw_picture(self) -> None:
         """Draw a frame of each page; no local name may keep a robot that this call replaces."""
         self.shared.watch(bool(self.viser.get_clients()))
-        # A switch removes widgets. It waits until their last update is old: in a slow browser, a
-        # newer update would come after the removal and cause an error.
+        # A switch of the robot removes widgets. In a slow browser, an update shortly before would
+        # arrive after the removal and cause an error: so the last one is `TEXTS_EVERY` ago.
         if texts := time.monotonic() >= self._texts_due:
             self._switch_robot()
             self._texts_due = time.monotonic() + TEXTS_EVERY
@@ -171,9 +171,8 @@ class DashboardServer:
 
     def _open_and_close_pages(self) -> None:
         """Build at most one page, because this is slow; end the pages of disconnected viewers."""
-        due = time.monotonic() >= self._newcomer_due
-        if due and (client := self._newcomer()) is not None:
-            begin = time.thread_time()
+        begin = time.thread_time()
+        if time.monotonic() >= self._newcomer_due and (client := self._newcomer()):
             self._build_page(client)
             self._newcomer_due = _rested(begin)
         for number in self.pages.keys() - self.viser.get_clients().keys():
@@ -202,17 +201,17 @@ class DashboardServer:
             page.fail(*self._failure)
 
     def _switch_robot(self) -> None:
-        switch = self.shared.robot_switch
-        if (robot := switch.take()) is None:
+        before = self.shared
+        if (robot := before.robot_switch.take()) is None:
             return
         try:
-            shown, before = (robot.loop, robot.model, robot.clouds, robot.parts), self.shared
+            shown = robot.loop, robot.model, robot.clouds, robot.parts
             self.shared, self._failure = SharedState(*shown, before=before), None
             self.shared.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
             for number in list(self.pages):
                 self._build_page(self.pages[number].client)
         finally:
-            switch.shown()  # also after an error: the switch's thread waits for this
+            before.robot_switch.shown()  # also after an error: the switch's thread waits for this
         note = f"; {robot.note}" if robot.note else ""
         self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use{note}.")
 
@@ -266,7 +265,7 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return until when [s, `monotonic`] to rest after work since `begin` [s, `thread_time`]."""
+    """Return the end [s, `monotonic`] of a rest after work since `begin` [s, `thread_time`]."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 

@@ -294,8 +294,9 @@ async def _ping(connection: Any) -> None:
 class _WakingEvent(asyncio.Event):
     """An event whose `set` wakes all waiters even if the event is already set.
 
-    viser sets its event in another thread, then again in the loop. With asyncio's event, the second
-    call would not wake a waiter that has missed the first one (docs/viser_wakeup.md).
+    viser sets its event in another thread, then again in the loop. If the first call comes between
+    a waiter's check and its wait, asyncio's event ignores the second call, and the page gets no
+    more messages (docs/viser_wakeup.md).
     """
 
     def set(self) -> None:

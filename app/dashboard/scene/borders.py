@@ -91,9 +91,8 @@ class Borders:
             points = points[points[:, 2] <= top]
         if not len(points):
             return None
-        field = self.fields[pair]
         measure = "singularity" if quantity == "determinant" else quantity
-        values = getattr(field, measure)(points)
+        values = getattr(self.fields[pair], measure)(points)
         keep = subsample(len(points), MAX_POINTS)
         keep = keep[subsample(len(keep), LIGHT_POINTS)] if light else keep
         low, high = float(values.min()), float(values.max())

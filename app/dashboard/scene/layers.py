@@ -64,13 +64,10 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    If `inside`, the segments of pairs outside the buffer d_b [m] have length 0. Otherwise, the
-    segments of pairs inside the buffer have length 0.
+    Segments of pairs outside the buffer d_b [m], or inside it unless `inside`, have length 0.
     """
-    ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
-    hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
-    ends[hidden, 1] = ends[hidden, 0]
-    return ends
+    ends = [(p.p_a, p.p_b if (p.d < d_b) == inside else p.p_a) for p in pairs]
+    return np.array(ends, dtype=float).reshape(-1, 2, 3)
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
