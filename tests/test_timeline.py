@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from app.dashboard.record import BIN, Strip
+from app.dashboard.record import BIN, MOST_MARKED, Strip, Timeline
 from app.dashboard.shared import SharedState
-from app.dashboard.timeline import MOST_MARKED, Timeline
 from app.errors import ConfigError, LogError
 from app.simulation.trace import trace
 from app.simulation.trace.trace import History
@@ -240,7 +239,7 @@ def test_end_before_the_begin_removes_the_begin():
 @pytest.mark.parametrize("speed", [0.25, 1.0, 4.0])
 def test_replay_runs_at_its_speed_to_the_present_and_stops_on_request(speed, monkeypatch):
     clock = [100.0]
-    monkeypatch.setattr("app.dashboard.timeline.monotonic", lambda: clock[0])
+    monkeypatch.setattr("app.dashboard.record.monotonic", lambda: clock[0])
     timeline = line_of(Past(12.0))
     timeline.play(speed)
     assert timeline.plays

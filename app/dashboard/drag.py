@@ -9,8 +9,8 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.notifications import Notifier
+from app.dashboard.record import Timeline
 from app.dashboard.scene.scene import RobotScene
-from app.dashboard.timeline import Timeline
 from app.simulation.loop.commands import Point, Pull, Release
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
