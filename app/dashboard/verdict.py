@@ -37,8 +37,10 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     moves = any(  # whether the base moves, or begins to move
         max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
     )
-    by = snapshot.controller
-    pairs = tuple(_state(each, known.get(each.name), by, moves=moves) for each in snapshot.pairs)
+    pairs: tuple[State, ...] = tuple(
+        _state(pair, known.get(pair.name), snapshot.controller, moves=moves)
+        for pair in snapshot.pairs
+    )
     states: list[State] = ["clear", *pairs]
     if why is not None and not why.solved:
         states.append("resisting")  # the fallback command damps the arm and brakes the base
