@@ -23,9 +23,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from app.border.dbb import Cloud
 from app.dashboard.export import Layer, Look
-from app.dashboard.export.browser import new_context
+from app.dashboard.export.browser import chromium, new_context
+from app.dashboard.job import loaded
 from app.dashboard.scene import colours
-from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
+from app.dashboard.scene.camera import PRESETS, Window, first_view, lens_of, placed, set_first_look
 from app.dashboard.scene.canvas import Lens, in_world
 from app.dashboard.scene.colours import Rgb, css, set_theme
 from app.dashboard.scene.layers import standings
@@ -35,6 +36,7 @@ from app.dashboard.verdict import COLOURS
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import OutputError
+from app.jobs.process import Report
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
 from app.simulation.loop.loop import LoopHandle
@@ -42,7 +44,7 @@ from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.simulation.trace.trace import Stored, Trace
 from app.simulation.trace.words import METHOD_WORDS, millimetres
-from app.system import whole_file
+from app.system import whole_file, write_whole
 
 if TYPE_CHECKING:
     import playwright.sync_api as web
@@ -51,7 +53,7 @@ HOST = "127.0.0.1"
 BARRIER = "/sent"  # scene node whose x coordinate is the last number of `send_barrier`
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
-RATE = 25.0  # [Hz] frame rate of a replay
+RATE = 25.0  # [Hz] frame rate of a replay, and of a film that a viewer of the page requests
 _MEANINGS: dict[Layer, str] = {  # meaning of a border's colours
     "score": "yellow: high score, purple: low score; avoidance turns yellow parts towards the arm",
     "determinant": "yellow: the base moves the point well, purple: less well",
@@ -205,6 +207,18 @@ def replay_html(
         recording.insert_sleep(1.0 / RATE)
         page = recording.as_html(dark_mode=look.dark)
     return _captioned_page(page, log, model.body_names, look.layer)
+
+
+def write_replay(report: Report, trace: Trace, page: Path) -> None:
+    """Write a replay with the default look; the work of a separate process, as `write_film_of`."""
+    model, data = loaded(trace.meta.robot, progress=False)
+    duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
+    look = Look(view=first_view(trace.snapshots[0]))
+
+    def on_progress(t: float) -> None:
+        report("drawing the pictures", min(t / duration, 1.0))
+
+    write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))
 
 
 def _captioned_page(page: str, log: Trace, chain: Sequence[str], layer: Layer) -> str:
@@ -381,6 +395,22 @@ def write_film(
             process.kill()
             process.wait()
     return count
+
+
+def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
+    """Write a film of a trace at true speed, with `RATE` and the default codec of a suffix."""
+    report("starting a browser", 0.0)
+    with chromium() as browser:  # first, because all later work needs it
+        model, data = loaded(trace.meta.robot, progress=False)
+        begin, end = trace.snapshots[0].t, trace.snapshots[-1].t
+        times = [begin + k / RATE for k in range(1 + int((end - begin) * RATE + 1e-9))]
+        pictures = film_pictures(browser, trace.snapshots, times, model, data.clouds, look)
+
+        def on_progress(k: int) -> None:
+            report(f"picture {k + 1} of {len(times)}", k / len(times))
+
+        with contextlib.closing(pictures):
+            write_film(film, pictures, RATE, next(iter(CODECS[film.suffix])), on_progress)
 
 
 def label(
