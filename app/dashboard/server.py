@@ -201,17 +201,17 @@ class DashboardServer:
             page.fail(*self._failure)
 
     def _switch_robot(self) -> None:
-        before = self.shared
-        if (robot := before.robot_switch.take()) is None:
+        switch = self.shared.robot_switch
+        if (robot := switch.take()) is None:
             return
         try:
             shown = robot.loop, robot.model, robot.clouds, robot.parts
-            self.shared, self._failure = SharedState(*shown, before=before), None
+            self.shared, self._failure = SharedState(*shown, before=self.shared), None
             self.shared.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
             for number in list(self.pages):
                 self._build_page(self.pages[number].client)
         finally:
-            before.robot_switch.shown()  # also after an error: the switch's thread waits for this
+            switch.shown()  # also after an error: the switch's thread waits for this
         note = f"; {robot.note}" if robot.note else ""
         self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use{note}.")
 

@@ -210,7 +210,7 @@ def replay_html(
 
 
 def write_replay(report: Report, trace: Trace, page: Path) -> None:
-    """Write a replay with the default look; the work of a separate process, as `write_film_of`."""
+    """Write a replay from the preset of `first_view`; `Job.run` calls this in another process."""
     model, data = loaded(trace.meta.robot, progress=False)
     duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
     look = Look(view=first_view(trace.snapshots[0]))
@@ -398,7 +398,7 @@ def write_film(
 
 
 def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
-    """Write a film of a trace at true speed, with `RATE` and the default codec of a suffix."""
+    """Write a film of a trace at true speed, with `RATE` and the default codec of its suffix."""
     report("starting a browser", 0.0)
     with chromium() as browser:  # first, because all later work needs it
         model, data = loaded(trace.meta.robot, progress=False)

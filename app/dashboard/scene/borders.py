@@ -61,7 +61,7 @@ class Borders:
         self._model, self._clouds = model, clouds
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
-        # A cache of functools would refer to this object: only the collector would delete it.
+        # With a cache of functools, only the garbage collector could delete this object.
         self._kept: dict[tuple[object, ...], ColouredCloud | None] = {}
 
     def coloured(

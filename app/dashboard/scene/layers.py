@@ -24,11 +24,7 @@ _LEAST_FORCE = 0.5  # [N] weaker forces are not drawn
 _LEAST_ACCELERATION = 0.02  # [m/s²], [rad/s²] smaller values are not drawn
 _MOST_ARC = np.deg2rad(300.0)  # [rad] largest arc
 _ARC_POINTS = 24
-_POINTS: dict[str, Rgb] = {
-    "p_n": (240, 240, 245),
-    "p_t": (32, 190, 200),
-    "p_act": colours.ACTING,
-}
+_POINTS: dict[str, Rgb] = {"p_n": (240, 240, 245), "p_t": (32, 190, 200), "p_act": colours.ACTING}
 _HANDLE: Rgb = (70, 76, 84)
 _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "case": ((190, 196, 204), 0.5),
@@ -64,7 +60,7 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    Segments of pairs outside the buffer d_b [m], or inside it unless `inside`, have length 0.
+    If `inside`, segments of pairs outside the buffer d_b [m] have length 0; if not, those inside.
     """
     ends = [(p.p_a, p.p_b if (p.d < d_b) == inside else p.p_a) for p in pairs]
     return np.array(ends, dtype=float).reshape(-1, 2, 3)
