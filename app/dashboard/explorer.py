@@ -64,9 +64,8 @@ class Explorer:
         """Find a posture that brings the end-effector to `place` (3,) [m] in the world.
 
         Return this posture, and the distance [m] of the end-effector from `place`. The search
-        starts from `posture`, and the base stays. The end-effector's z axis keeps its direction. If
-        the distance is then not below `CLOSE`, a second search lets the axis turn, and the posture
-        with the smaller distance is returned.
+        starts from `posture`; base and direction of the end-effector's z axis stay. If the distance
+        is not below `CLOSE`, a second search lets the axis turn; the nearer posture is returned.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

@@ -13,9 +13,9 @@ from app.dashboard.drag import Grip
 from app.dashboard.job import Job
 from app.dashboard.markup import small
 from app.dashboard.notifications import Notifier
+from app.dashboard.record import Timeline
 from app.dashboard.scene.camera import Camera
 from app.dashboard.shared import SharedState
-from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu

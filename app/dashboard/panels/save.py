@@ -11,8 +11,8 @@ import viser
 from PIL import Image
 
 from app.dashboard.export import Look, Side
-from app.dashboard.export.offscreen import CODECS, captioned
-from app.dashboard.job import FILM_RATE, write_film_of, write_log, write_replay, write_report
+from app.dashboard.export.offscreen import CODECS, RATE, captioned, write_film_of, write_replay
+from app.dashboard.job import write_log, write_report
 from app.dashboard.markup import small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
@@ -52,7 +52,7 @@ class SavePanel(Panel):
                 self._file(label, icon, partial(self._of_interval, name, write), hint=hint)
             self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
             self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
-            hint = f"{FILM_RATE:g} pictures per second, in the size above. Each takes about 0.25 s"
+            hint = f"{RATE:g} pictures per second, in the size above. Each takes about 0.25 s"
             hint += " to draw: mark a short interval."
             self._file("Film", viser.Icon.VIDEO, self._film, hint=hint)
         with gui.add_folder("Last scenario"):
