@@ -22,8 +22,9 @@ _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
 _ALONE = 1.0  # [m] upper bound of `_shown`, and its value if there are no other shapes
+_MAX_NEWTON = 30  # [-] largest number of Newton steps along a ray
+_AT_END = 1e-9  # [m] tolerance of the distance d_b at a ray's end
 
-_Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
 _Rings = tuple[Array, Array]
 """Closed polygons around one convex shape, counter-clockwise, with vertices at d_m = d_b: ascending
 heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equals the first."""
@@ -64,26 +65,16 @@ class OffsetContours:
 
 
 def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The visible pieces (K, 2) [m] of a ring, which is a row of `Table.vertices`.
-
-    `shown` is the same row of `Table.shown`.
-    """
+    """The visible pieces (K, 2) [m] of a row of `Table.vertices` with its row of `Table.shown`."""
     if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
     turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
     ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
-    found: list[Array] = []
-    piece: list[complex] = []
-    for i in range(len(ring) - 1):
-        a, b = shown[i], shown[i + 1]
-        if (a < 0.0) != (b < 0.0):
-            piece.append(complex(ring[i] + a / (a - b) * (ring[i + 1] - ring[i])))
-        if b >= 0.0:
-            piece.append(complex(ring[i + 1]))
-        elif piece:
-            found.append(np.array([[v.real, v.imag] for v in piece]))
-            piece = []
-    return found
+    i = np.flatnonzero((shown[:-1] < 0.0) != (shown[1:] < 0.0))
+    crossings = ring[i] + shown[i] / (shown[i] - shown[i + 1]) * (ring[i + 1] - ring[i])
+    ring, visible = np.insert(ring, i + 1, crossings), np.insert(shown >= 0.0, i + 1, True)
+    pieces = np.split(ring, np.flatnonzero(np.diff(visible)) + 1)[1::2]
+    return [np.column_stack([piece.real, piece.imag]) for piece in pieces]
 
 
 @kept_per_model(4)
@@ -158,16 +149,19 @@ def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
 
 
 class _Tracer:
-    """Follows rays to the boundary of one shape's offset, height by height."""
+    """Follows rays to the boundary of one shape's offset, height by height.
+
+    The results have, for each height with a slice of the offset, the height [m], the start (2,) [m]
+    of the rays and their lengths (RAYS,) [m].
+    """
 
     def __init__(self, part: ConvexPart, d_b: float) -> None:
         self._part, self._d_b = part, d_b
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
-    def from_middle(self, heights: list[float]) -> list[_Level] | None:
+    def from_middle(self, heights: list[float]) -> list[tuple[float, Array, Array]] | None:
         """From the shape's centre, trace each height with a slice; None if a slice excludes it."""
-        found: list[_Level] = []
-        ends = np.full(RAYS, -np.inf)
+        found, ends = [], np.full(RAYS, -np.inf)
         for z in heights:
             ends = self._ends(self._middle, z, ends)
             hits = np.isfinite(ends)
@@ -177,13 +171,11 @@ class _Tracer:
                 return None
         return found
 
-    def from_slices(self, heights: list[float]) -> list[_Level]:
+    def from_slices(self, heights: list[float]) -> list[tuple[float, Array, Array]]:
         """Trace each height from the centre of the slice at this height."""
-        found: list[_Level] = []
-        centre = self._middle
+        found, centre = [], self._middle
         for z in heights:
-            inside = self._inside(centre, z)
-            if inside is None:
+            if (inside := self._inside(centre, z)) is None:
                 continue
             ring = inside + self._ends(inside, z)[:, None] * _RAYS[:, :2]
             centre = (ring.min(axis=0) + ring.max(axis=0)) / 2
@@ -213,13 +205,28 @@ class _Tracer:
     def _ends(self, centre: Array, z: float, start: Array | float = -np.inf) -> Array:
         """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z; −inf without a hit.
 
-        The finite numbers of `start` are the initial estimates.
+        The finite numbers of `start` are the initial estimates; the others begin beyond the offset.
+        The distance to a convex shape is a convex function along a ray. From a start at which the
+        distance increases, the first Newton step ends at the outer root or beyond, and the next
+        steps approach the root from outside.
         """
-        part = self._part
+        part, origin, ends = self._part, np.array([*centre, z]), np.full(RAYS, -np.inf)
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))
-        first = np.where(np.isfinite(start), start, np.full(RAYS, beyond))
-        return part.ray_ends(np.array([*centre, z]), _RAYS, first, self._d_b)
+        s, left = np.where(np.isfinite(start), start, np.full(RAYS, beyond)), np.arange(RAYS)
+        for _ in range(_MAX_NEWTON):
+            found = part.shapes.distances_and_normals(origin + s[left, None] * _RAYS[left])
+            off, slope = found[:, 0] - self._d_b, (found[:, 1:] * _RAYS[left]).sum(axis=1)
+            there, rising = np.abs(off) < _AT_END, slope > 1e-9
+            on_border = left[there & (slope >= 0.0)]
+            ends[on_border] = s[on_border]
+            further = ~there & rising
+            left = left[further]
+            if not len(left):
+                return ends
+            s[left] -= off[further] / slope[further]
+        ends[left] = s[left]
+        return ends
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
