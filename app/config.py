@@ -10,32 +10,21 @@ import math
 from collections.abc import Mapping
 from functools import cache
 from logging import getLogger
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError, model_validator
-from pydantic.fields import FieldInfo
 
 from app.errors import ConfigError, did_you_mean
 from app.strict import Strict, explain
 
 
-def number(
-    default: float,
-    low: float,
-    high: float,
-    label: str = "",
-    *,
-    advanced: bool = False,
-    source: str = "",
-) -> Any:
+def number(default: float, low: float, high: float, label: str = "", **extra: bool | str) -> Any:
     """A field of a section: a number from `low` to `high`.
 
-    It is displayed as `label` or, without a label, by its name. The dashboard hides an `advanced`
-    parameter until the user displays all parameters. `source` is the source of the default, or a
-    reason for it.
+    It is displayed as `label` or, without a label, by its name. `extra` are the fields `advanced`
+    and `source` of `Parameter`.
     """
-    extra: dict[str, Any] = {"advanced": advanced, "source": source}
-    return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
+    return Field(default, ge=low, le=high, title=label or None, json_schema_extra={**extra})
 
 
 class Parameter(NamedTuple):
@@ -47,14 +36,15 @@ class Parameter(NamedTuple):
     help: str
     label: str
     """Displayed name, followed by the symbol if there is one, without the unit."""
-    advanced: bool  # whether the dashboard hides the parameter at first
-    source: str
-    """Source of the default, or a reason for it; empty if the default is this project's choice."""
     unit: str  # `-` for a number without a unit, and for a choice
     low: float = math.nan  # NaN for a choice
     high: float = math.nan
     choices: tuple[str, ...] = ()
     """The words; empty for a number."""
+    advanced: bool = False
+    """Whether the dashboard hides the parameter until the user displays all parameters."""
+    source: str = ""
+    """Source of the default, or a reason for it; empty if the default is this project's choice."""
 
     @property
     def title(self) -> str:
@@ -85,24 +75,13 @@ class Section(NamedTuple):
     tunables: tuple[Parameter, ...]
 
 
-def _read(section: str, name: str, field: FieldInfo) -> Parameter:
-    """The parameter that the field `name` of a section describes."""
-    unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    bounds: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
-    is_number = get_origin(field.annotation) is not Literal
-    return Parameter(
-        path=f"{section}.{name}",
-        default=field.default,
-        help=" ".join(text.split()),
-        label=field.title or name.replace("_", " ").capitalize(),
-        advanced=bool(extra.get("advanced", False)),
-        source=str(extra.get("source", "")),
-        unit=unit,
-        low=bounds["Ge"].ge if is_number else math.nan,
-        high=bounds["Le"].le if is_number else math.nan,
-        choices=() if is_number else get_args(field.annotation),
-    )
+def _read(path: str, field: dict[str, Any]) -> Parameter:
+    """The parameter that a field's JSON schema describes."""
+    unit, _, text = field["description"].removeprefix("[").partition("]")
+    low, high = field.get("minimum", math.nan), field.get("maximum", math.nan)
+    texts, choices = (" ".join(text.split()), field["title"], unit), tuple(field.get("enum", ()))
+    extra = {key: field[key] for key in ("advanced", "source") if key in field}
+    return Parameter(path, field["default"], *texts, low, high, choices, **extra)
 
 
 _TITLES = {
@@ -404,7 +383,7 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; raises the errors of `changed`."""
+        """A copy with one changed parameter; raises the errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
@@ -420,9 +399,7 @@ class Config(Strict):
 def slowed(config: Config) -> Config:
     """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
 
-    The stiffness of the end-effector's task and k_p are divided by the square of the factor. The
-    damping of this task, k_v, rate and separation speed of the barrier, and `limit.position_rate`
-    are divided by the factor. `limit.velocity_rate` becomes the new `limit.position_rate`.
+    Both rates of joint limits become `limit.position_rate` divided by the factor.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -485,11 +462,11 @@ def sections() -> tuple[Section, ...]:
     """All sections with their parameters, from the records above."""
     found = []
     for name, section in Config.model_fields.items():
-        record = type(section.default)
-        fields = record.model_fields.items()
-        parameters = tuple(_read(name, each, field) for each, field in fields)
-        title, about = _TITLES.get(name, name.capitalize()), (record.__doc__ or "").strip()
-        found.append(Section(name, title, about, parameters))
+        schema = type(section.default).model_json_schema()
+        fields = schema["properties"].items()
+        parameters = tuple(_read(f"{name}.{each}", field) for each, field in fields)
+        title = _TITLES.get(name, name.capitalize())
+        found.append(Section(name, title, schema["description"], parameters))
     return tuple(found)
 
 

@@ -7,10 +7,9 @@ import pinocchio as pin
 import pytest
 
 from app.border.mobile import MobileBody, Shapes
-from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours
 from app.robot.shapes import Box, convex_hull
-from tests.nearest import Placed
+from tests.nearest import BorderSearch, Placed
 from tests.robots import husky_panda, with_mobile_shapes
 
 HALF, CENTRE = np.array([0.495, 0.345, 0.19015]), np.array([0.0, 0.0, 0.1902])  # [m]

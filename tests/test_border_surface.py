@@ -9,11 +9,11 @@ from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resul
 from app.border.cache import BorderData
 from app.border.dbb import Border, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField
 from app.config import ForceConfig
 from app.robot.model import RobotModel
+from tests.nearest import BorderSearch
 
 D_B = 0.15  # [m]
 FORCE = ForceConfig()

@@ -9,13 +9,14 @@ from scipy.spatial import cKDTree
 from app.border.cache import load_border_data
 from app.border.dbb import make_cloud
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderSearch, level
+from app.border.nearest import level
 from app.border.offset import OffsetContours
 from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Hull
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import scenario_by_name
+from tests.nearest import BorderSearch
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]

@@ -131,10 +131,8 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits.
 
     The key depends on the sampling, and on all data of the robot that determine its pairs and
-    clouds. Sources, colours, masses, gains and paths of packages have no effect on it.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
+    clouds, but not on masses, colours, gains or paths. If the URDF or a mesh is missing, this
+    raises an AssetError.
     """
     arm = description.arm
     content = {
@@ -179,9 +177,8 @@ def write(path: Path, data: BorderData, key: str) -> None:
 def read(path: Path, key: str) -> BorderData:
     """Read a file, and verify its checksums and its key.
 
-    Raises:
-        FileNotFoundError: The file does not exist.
-        DamagedFileError: The file cannot be read or is too large, or its key or content is invalid.
+    This raises a FileNotFoundError or, for an unreadable, too large or invalid file or another key,
+    a DamagedFileError.
     """
     try:
         # `np.load` would leave an unreadable file open, and would accept a plain array.
@@ -190,23 +187,19 @@ def read(path: Path, key: str) -> BorderData:
             expanded = sum(each.file_size for each in file.zip.infolist())
             if expanded > _LARGEST:
                 raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
-            return _content({name: file[name] for name in file.files}, key)
+            header = _Header.model_validate_json(file["header"].tobytes())
+            if (header.key, header.format) != (key, FORMAT):
+                raise DamagedFileError("it belongs to another robot, sampling or version")
+            clouds = {
+                pair.name: _unpack(pair.name, *(file[f"cloud{i}_{part}"] for part in _PARTS))
+                for i, pair in enumerate(header.mobile)
+            }
     except FileNotFoundError:
         raise
     except _FAULTS as error:
         raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
-
-
-def _content(arrays: dict[str, Array], key: str) -> BorderData:
-    header = _Header.model_validate_json(arrays["header"].tobytes())
-    if (header.key, header.format) != (key, FORMAT):
-        raise DamagedFileError("it belongs to another robot, sampling or version")
-    pairs = LinkPairs(**{each.name: getattr(header, each.name) for each in fields(LinkPairs)})
-    clouds = {
-        pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
-        for i, pair in enumerate(pairs.mobile)
-    }
-    return BorderData(pairs, clouds, "cache")
+    pairs = {each.name: getattr(header, each.name) for each in fields(LinkPairs)}
+    return BorderData(LinkPairs(**pairs), clouds, "cache")
 
 
 def _pack(cloud: Cloud) -> tuple[Array, Array, Array]:

@@ -75,7 +75,7 @@ class Border:
     eps: float
     """[m] d_b and ε of (3)."""
     points: Array
-    """(N, 3) [m] points, by ascending height."""
+    """(N, 3) [m]"""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -86,9 +86,7 @@ class Border:
         return self.points[:, 2]
 
     def same_height(self, z: float, half_thickness: float = SAME_HEIGHT) -> Array:
-        """DBB_xy (M, 3) [m]: the points whose heights differ from z [m] by at most
-        `half_thickness` [m]; FindSameHeight of Algorithm 3.
-        """
+        """DBB_xy (M, 3) [m] of Algorithm 3: the points within `half_thickness` [m] of height z."""
         first = self.heights.searchsorted(z - half_thickness, "left")
         last = self.heights.searchsorted(z + half_thickness, "right")
         return self.points[first:last]
@@ -96,8 +94,6 @@ class Border:
 
 def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
     """ConstructDBB: the points of P_i whose distance to l_m differs from d_b [m] by at most ε [m].
-
-    The border is empty if P_i has no such points.
 
     Paper: Eq. (3).
     """

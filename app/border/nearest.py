@@ -29,7 +29,6 @@ _SAME_CORNER = 0.01  # [m] largest distance of two ends that belong to the same 
 _TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefined
 
 BLOCK = 24  # [-] number of edges in a block of the search; a ring has a whole number of blocks
-
 Best = tuple[float, complex, complex]
 """Nearest point so far: its distance [m], the point [m] and its unit tangent, both as x + iy."""
 Corner = tuple[complex, complex, bool]
@@ -198,12 +197,12 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
 
 @compiled()
 def nearest_offset(border: Any, at: Array) -> Array:
-    """(2, 3) p and t of `Foot`, the point on the contour of a `BORDER` nearest to `at` (3,) [m].
+    """(2, 3) the point [m] on the contour of a `BORDER` nearest to `at` (3,) [m], and the tangent.
 
-    Without a contour at the height of `at`, the contour nearest in height is moved to this height.
-    Blocks of edges are searched in the order of their distance, until the next block is farther
-    than the nearest point, so the cost hardly grows with the number of shapes. If there are no
-    contours, x and y of p and t are NaN.
+    The tangent is a horizontal unit vector with l_m on its left. Without a contour at the height of
+    `at`, the contour nearest in height is moved to this height. Blocks of edges are searched in the
+    order of their distance, until the next block is farther than the nearest point, so the cost
+    hardly grows with the number of shapes. If there are no contours, x and y of both are NaN.
     """
     firsts, heights, vertices = border.firsts, border.heights, border.vertices
     tangents, shown, spans = border.tangents, border.shown, border.spans
@@ -272,11 +271,12 @@ def nearest_sample(
 
 @compiled()
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
-    """The p and t of `Foot`: the point of a `BORDER` nearest to p (3,) [m] at the height of p.
+    """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and the tangent.
 
     If the border consists of points, and the pair with the index `pair` has some at this height,
-    the result is that of `nearest_sample`; if its t is NaN, t is that of the surface. Otherwise the
-    result is that of `nearest_offset`. If l_m has no border, x and y of both are NaN.
+    the result is that of `nearest_sample`; if its tangent is NaN, the tangent is that of the
+    surface. Otherwise the result is that of `nearest_offset`. If l_m has no border, x and y of both
+    are NaN.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -290,31 +290,13 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     return exact[0], exact[1]
 
 
-class Foot(NamedTuple):
-    """The border point nearest to a query point, among those at its height; in the base's frame."""
+def border_struct(table: Table, borders: Sequence[Border] = ()) -> Any:
+    """A struct `BORDER` of a table or, if there are `borders`, of their points and the table.
 
-    p: Array
-    """(3,) [m] the point of the border."""
-    t: Array
-    """(3,) horizontal unit tangent there; on the surface, l_m is on its left."""
-
-
-class BorderSearch:
-    """A border in the form that compiled functions use."""
-
-    def __init__(self, table: Table, borders: Sequence[Border] = ()) -> None:
-        """Prepare the search of `OffsetContours.table` or, if there are `borders`, of their points.
-
-        `borders` has the border of each pair of arm and base, all for the same d_b.
-        """
-        points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
-        sampled = np.cumsum([0, *map(len, borders)])
-        eps = borders[0].eps if borders else 0.0
-        values = _Values(*map(np.ascontiguousarray, table), bool(borders), points, sampled, eps)
-        self.struct = BORDER.made_of(values)
-        """The border as a struct `BORDER`."""
-
-    def nearest(self, p: Array) -> Foot | None:
-        """The border point of the first pair nearest to p (3,) [m]; None if l_m has no border."""
-        foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
-        return None if math.isnan(foot.p[0]) else foot
+    `borders` has the border of each pair of arm and base, all for the d_b of the table.
+    """
+    points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
+    sampled = np.cumsum([0, *map(len, borders)])
+    eps = borders[0].eps if borders else 0.0
+    arrays = map(np.ascontiguousarray, table)
+    return BORDER.made_of(_Values(*arrays, bool(borders), points, sampled, eps))

@@ -6,11 +6,13 @@ at every height. All heights and positions are in the base's frame.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import ConvexPart, MobileBody, Shapes
-from app.border.nearest import BLOCK, BorderSearch, Table, level
+from app.border.nearest import BLOCK, Table, border_struct, level
 from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
@@ -84,12 +86,12 @@ def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
 
 
 @kept_per_model(8)
-def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the configured kind, for the pairs of the clouds; cached for each model."""
+def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> Any:
+    """The struct `BORDER` of the configured kind, for the pairs of the clouds; cached by model."""
     table = offset_contours(model, config.d_b).table
     if config.kind == "surface":
-        return BorderSearch(table)
-    return BorderSearch(table, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
+        return border_struct(table)
+    return border_struct(table, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
 
 
 def _table(parts: list[ConvexPart], d_b: float) -> Table:

@@ -34,6 +34,14 @@ class Chain:
     end-effector, of the frame of the body's first shape; the base is at the origin. The origin of
     the frame is the body's point. The pose has as many coordinates as the joints can change
     independently: six; five, without the rotation about the z axis; or three, of the position.
+
+    Attributes:
+        joints: Indices within the arm of the k joints that move the body.
+        pin: pinocchio's model of the chain.
+        lower, upper: (k,) [rad or m] joint limits.
+        turns: (k,) whether each joint is revolute.
+        coordinates: Number of coordinates of the pose: 6, 5 or 3.
+        free: Number of joints that must be fixed so that a pose determines the other joints.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
@@ -47,20 +55,14 @@ class Chain:
             )
         self.body = body
         self.joints = [joint - 2 for joint in joints]
-        """Indices within the arm of the joints that move the body."""
         still = [j for j in range(1, model.pin.njoints) if j not in joints]
         self.pin = pin.buildReducedModel(model.pin, still, pin.neutral(model.pin))
-        """pinocchio's model of the chain."""
         self._data, self._placement = self.pin.createData(), _carrier(model, body)[1]
         self.lower, self.upper = model.q_lower[self.joints], model.q_upper[self.joints]
-        """(k,) [rad or m] joint limits."""
         kinds = [joint.shortname() for joint in self.pin.joints][1:]
         self.turns = np.array([kind.startswith("JointModelR") for kind in kinds])
-        """(k,) whether each joint is revolute."""
         self.coordinates = next((n for n in (6, 5) if n <= len(joints) and self._meets(n)), 3)
-        """Number of coordinates of the pose: 6, 5 or 3."""
         self.free = len(joints) - self.coordinates
-        """Number of joints that must be fixed so that a pose determines the other joints."""
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
         """The body's pose T_base_point at joint positions q (k,), and its Jacobian (6, k).
@@ -113,10 +115,8 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 def free_joints(chain: Chain) -> tuple[int, ...]:
     """Redundant joints, as indices in the chain: if they are fixed, a pose determines the others.
 
-    If several choices are possible, the joints nearest to the body are chosen.
-
-    Raises:
-        DescriptionError: For each choice of fixed joints, the Jacobian of the others is singular.
+    If several choices are possible, the joints nearest to the body are chosen. If the Jacobian of
+    the others is singular for each choice, this raises a DescriptionError.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(20)]
@@ -132,9 +132,7 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
 
 PEAK = 100.0  # [-] largest mean reachability in a shell around the mount: the paper's C
 FINE_SAMPLES, FINE_SPACING = 200_000, 0.05
-"""[-] number of joint positions and [m] spacing of the lattice of `dbb reach`, which takes seconds;
-the error of A is about 1 %."""
-
+"""[-] number of joint positions and [m] spacing of the lattice of `dbb reach`; A's error is 1 %."""
 _ORIENTATIONS = {6: 8 * np.pi**2, 5: 4 * np.pi, 3: 1.0}
 """[-] volume of the orientations of a pose, by its number of coordinates: 6 for all orientations, 5
 for directions, 3 for positions without orientation."""
@@ -151,7 +149,6 @@ class ReachMap:
     """(N,) [-] number of inverse kinematics solutions at each position, within the joint limits and
     without self-collision; the mean over orientations and positions of the fixed joints."""
     samples: int
-    """Number of joint positions."""
     reach: Array
     """(N,) [-] `found`, scaled to a mean of 100 in the best shell."""
     p_base: Array
@@ -174,11 +171,8 @@ def sample_reach_map(
     """Compute the mean number of inverse kinematics solutions for a body in the whole workspace.
 
     `samples` is the number of random joint positions. The lattice with `spacing` [m] fills a ball
-    around the mount that contains the whole workspace.
-
-    Raises:
-        ConfigError: Fewer than three joints move the body.
-        DescriptionError: Each sample is in self-collision, or as for `free_joints`.
+    around the mount that contains the whole workspace. If each sample is in self-collision, this
+    raises a DescriptionError; other errors: those of `Chain` and `free_joints`.
     """
     chain, p_base = Chain(model, body), model.p_base()
     free, is_free = free_joints(chain), _clearance(model, chain)

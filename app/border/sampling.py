@@ -1,7 +1,6 @@
 """Sampling of P_i for all pairs of arm and base: random postures, then a flood of each sector.
 
-In a flood, the arm's closest point moves from known postures into empty neighbouring voxels. With
-more than one process, the processes execute both stages in parallel.
+In a flood, the arm's closest point moves from known postures into empty neighbouring voxels.
 """
 
 from __future__ import annotations
@@ -15,14 +14,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from app.border.dbb import (
-    POINT_RANGE,
-    POINT_UNIT,
-    Cloud,
-    make_cloud,
-    quantise_distances,
-    quantise_points,
-)
+from app.border import dbb
+from app.border.dbb import POINT_UNIT, Cloud, quantise_points
 from app.border.mobile import MobileBody
 from app.errors import DescriptionError
 from app.jobs.pool import Workers
@@ -82,17 +75,13 @@ def sample_clouds(
     """P_i of Algorithm 1 by the name of the pair, for `pairs` of arm and base: sampled points.
 
     The points are closest points on the arm's body, one per voxel. Random sampling alone finds
-    almost no points at the base's sides. Therefore a flood follows: from known postures, the arm
-    moves such that its closest point enters an empty neighbouring voxel. The second and later
-    floods start at the borders between sectors. A posture must satisfy the joint limits, and its
-    distance must be in the sampled range; collisions of other pairs are allowed.
+    almost no points at the base's sides; therefore floods follow. A posture must satisfy the joint
+    limits, and its distance must be in the sampled range; collisions of other pairs are allowed.
 
     `progress` displays a progress bar on standard error. `on_progress` is called with the share of
-    the work that is done, 0 to 1. `processes` is the number of processes, by default one for each
-    usable core; it has no effect on the result.
-
-    Raises:
-        DescriptionError: The base is too large for the stored points.
+    the work that is done, 0 to 1. `processes` is the number of parallel processes, by default one
+    for each usable core; it has no effect on the result. This raises a DescriptionError if the base
+    is too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
     children = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -117,8 +106,8 @@ def sample_clouds(
             found, report = kept, lambda _: None
     clouds = {}
     for pair, (_, points) in kept.items():
-        distances = quantise_distances(context.body.distance(points * POINT_UNIT))
-        clouds[pair.name] = make_cloud(pair.name, points, distances)
+        distances = dbb.quantise_distances(context.body.distance(points * POINT_UNIT))
+        clouds[pair.name] = dbb.make_cloud(pair.name, points, distances)
     return clouds
 
 
@@ -130,8 +119,8 @@ def _flood_jobs(
 ) -> list[SectorJob]:
     """A job for each sector and pair with an open voxel at or next to a posture of `found`.
 
-    `kept` are the postures of the previous floods; after the first flood, only postures of other
-    sectors count.
+    `kept` are the postures of all previous floods. After the first one, a sector's own postures in
+    `found` do not count.
     """
     jobs = []
     for pair, seed in seeds.items():
@@ -192,14 +181,13 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
     found = PairReader(context.model, pair).witnesses(q_m)
-    inside = (found.d > config.d_low) & (found.d < config.d_high)
-    return Kept(q_m[inside].astype(np.float32), quantise_points(found.p_b[inside]))
+    return _kept(_rows(found, (found.d > config.d_low) & (found.d < config.d_high)))
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
     """Find postures for the open voxels of a sector."""
     q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
-    return _Flood(context, job).run(q_m)
+    return _kept(_Flood(context, job).run(q_m))
 
 
 class Witnesses(NamedTuple):
@@ -213,6 +201,10 @@ class Witnesses(NamedTuple):
     """(N, 3) [m] closest point on the arm's body, in the base's frame."""
     normal: Array
     """(N, 3) unit vectors from l_m to the body."""
+
+
+def _kept(found: Witnesses) -> Kept:
+    return Kept(found.q_m.astype(np.float32), quantise_points(found.p_b))
 
 
 class PairReader:
@@ -265,8 +257,8 @@ class _Flood:
         travel = self._model.q_upper - self._model.q_lower
         self._scale = np.minimum(travel, 2 * np.pi) / (2 * np.pi)
 
-    def run(self, sources: Array) -> Kept:
-        """Flood the open voxels from postures (N, n_m), which are kept if they are in open voxels.
+    def run(self, sources: Array) -> Witnesses:
+        """Flood the open voxels from postures (N, n_m): one posture for each voxel that is reached.
 
         In each of up to `retries` + 1 attempts, one posture of a batch makes a step into each open
         voxel next to the batch.
@@ -282,16 +274,14 @@ class _Flood:
                 waiting[0].append(fresh)
             if round_ < self._retries:
                 waiting[round_ + 1].append(found)
-        found = _joined(accepted)
-        return Kept(found.q_m.astype(np.float32), quantise_points(found.p_b))
+        return _joined(accepted)
 
     def _accepted(self, found: Witnesses) -> Witnesses:
         """Select one posture in range for each open voxel that has some, and close the voxel."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
         fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
-        _, first = np.unique(keys[candidates], return_index=True)
-        fresh = candidates[first]
+        fresh = candidates[np.unique(keys[candidates], return_index=True)[1]]
         self._open[keys[fresh]] = False
         return _rows(found, fresh)
 
@@ -304,7 +294,7 @@ class _Flood:
         useful = (keys >= 0) & self._open[keys] & (ahead > self._low) & (ahead < self._high)
         source, side = np.nonzero(useful)
         # Without this selection, two postures would try the same voxel in nearly half of all tries.
-        _, first = np.unique(keys[source, side], return_index=True)
+        first = np.unique(keys[source, side], return_index=True)[1]
         source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
         J = self._reader.jacobians(found.q_m[needed], found.p_b[needed])[row]
@@ -370,15 +360,13 @@ class Voxels:
         """Create the grid up to the distance `reach` [m] from the box.
 
         `lower` and `upper` (3,) [m] are corners of the box, `size` (3,) [m] are the sides of a
-        voxel, and `sectors` is the number of equal sectors around the base's centre.
-
-        Raises:
-            DescriptionError: The base is too large for int16 points.
+        voxel, and `sectors` is the number of equal sectors around the base's centre. This raises a
+        DescriptionError if the base is too large for int16 points.
         """
         low, high = lower - reach, upper + reach
-        if max(np.abs(low).max(), np.abs(high).max()) > POINT_RANGE:
+        if max(np.abs(low).max(), np.abs(high).max()) > dbb.POINT_RANGE:
             raise DescriptionError(
-                f"bodies: the base extends more than {POINT_RANGE - reach:g} m "
+                f"bodies: the base extends more than {dbb.POINT_RANGE - reach:g} m "
                 "from the base's centre, too far for a stored border"
             )
         low[2] = 0.0  # no points below the floor

@@ -20,8 +20,7 @@ from app.strict import Array
 
 FLOOR = 0.05  # [-] share of C below which the reachability of (9) is modified to stay positive
 SHELL = 0.05  # [m] thickness of a shell around the mount
-ROUNDING = 1e-6
-"""[-] tolerance of a shell's inner border, relative to the shell's thickness."""
+ROUNDING = 1e-6  # [-] tolerance of a shell's inner border, relative to the shell's thickness
 _FEWEST = 20  # [-] smallest number of values in a shell whose mean can be the peak
 
 
@@ -53,15 +52,15 @@ class ScoreField:
 
     def singularity(self, p: Array) -> Array:
         """(…) |measure| at p (…, 3) [m]; for a differential base, this is det(J_c J_cᵀ) of (7)."""
-        return np.abs(self.base.singularity(p)[0])
+        return np.abs(self.base.measure.at(np.asarray(p, dtype=float)[..., 0]))
 
     def reachability(self, p: Array) -> Array:
         """(…) [-] R at p (…, 3) [m], a function of the distance from the mount.
 
         Paper: Eq. (9).
         Departure: at distances that differ much from B, (9) is negative and would change the
-        score's sign. Below R_1 = 0.05 C the function continues as R_1² / (2 R_1 − R), with the same
-        value and slope at R_1. It is positive everywhere, and its gradient is zero only at B.
+        score's sign. Where (9) is below R_1 = 0.05 C, R_1² / (2 R_1 − R) replaces it, with the same
+        value and slope at R_1. Thus R is positive everywhere, and its gradient is zero only at B.
         """
         return self._fields(p)[..., 0]
 
@@ -140,9 +139,7 @@ class RadialProfile:
         return int(np.argmax(np.where(enough, self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
-        """The range [m] around the peak in which each shell's mean is at least `share` [-] of the
-        peak's mean.
-        """
+        """The range [m] around the peak with means of at least `share` [-] of the peak's mean."""
         peak = self.peak()
         low = np.flatnonzero(~(self.mean >= share * self.mean[peak]))  # also shells without values
         first = low[low < peak].max(initial=-1) + 1
@@ -170,8 +167,7 @@ class ReachFit(NamedTuple):
     B_m: float
     C: float
     r_squared: float
-    """[-] share of the variance of the shells' means that (9) explains; the number of positions in
-    a shell is the weight of its mean."""
+    """[-] share of the variance of the shells' means (weighted by count) that (9) explains."""
     rms: float
     """[-] root mean square of the residuals of the shells' means, with the same weights."""
     r_squared_positions: float
@@ -188,17 +184,14 @@ class ReachFit(NamedTuple):
 
 
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
-    """Fit (9) to positions by least squares with equal weights.
+    """Fit (9) by least squares to positions at distances rho (N,) [m] from the arm's mount.
 
-    `rho` (N,) [m] is the distance of each position from the arm's mount, `reach` (N,) [-] its
-    reachability, the mean over orientations with zeros included. The fit uses the best shell, and
-    the shells on both sides of it up to the first one whose mean is below `share` [-] of the best.
+    `reach` (N,) [-] is the reachability of each position. The fit uses the best shell, and the
+    shells on both sides of it up to the first one whose mean is below `share` [-] of the best.
+    Raises a ValueError if these have fewer than four different distances, or if the parabola has no
+    maximum at a positive distance.
 
     Paper: Eq. (9).
-
-    Raises:
-        ValueError: There are fewer than four different distances, or the parabola has no maximum at
-            a positive distance.
     """
     rho, reach = np.asarray(rho, dtype=float), np.asarray(reach, dtype=float)
     low, high = radial_profile(rho, reach).band(share)
@@ -211,8 +204,7 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     c, b, a = polynomial.convert().coef
     if not a < 0 < b:
         raise ValueError("the reachability does not decrease on both sides of a best distance")
-    B = -b / (2 * a)
-    left = y - polynomial(x)
+    B, left = -b / (2 * a), y - polynomial(x)
     values, rest = radial_profile(x, y), radial_profile(x, left)
     there = values.count > 0
     mean, missed, weight = values.mean[there], rest.mean[there], values.count[there]

@@ -4,11 +4,6 @@ The frame's origin is the middle of the rear axle on the floor; the front axle i
 velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w_x and ω = w_y / L.
 The front wheels point along this velocity, so it is in the double cone |w_y| ≤ tan δ_max |w_x|: the
 curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.
-
-A desired velocity (v, ω) outside of the cone is replaced by the nearest one in the cone, in the
-metric of kinetic energy m v² + I ω². It is on an edge of the cone, κ = ±κ_max, and has the speed
-(m v + I κ ω) / (m + I κ²). On the edge where κ has the sign of ω the base moves ahead, on the other
-edge backwards.
 """
 
 import math
@@ -41,10 +36,11 @@ def nearest_in_cone(
 ) -> tuple[float, float]:
     """The velocity [m/s, rad/s] in the cone |ω| ≤ κ_max |v| nearest to (v, w).
 
-    The norm is √(v² + ρ² ω²). `kappa` [1/m] is κ_max, `radius` [m] is ρ = √(I/m), and `before`
-    [m/s] is the present speed or speed command. If both edges of the cone are about equally near, a
-    moving base keeps its direction. If it is at rest and both are equally near, it moves backwards:
-    this brings the arm ahead of the rear axle, where the score is better.
+    The norm √(v² + ρ² ω²) is that of kinetic energy. `kappa` [1/m] is κ_max, `radius` [m] is
+    ρ = √(I/m), and `before` [m/s] is the present speed or speed command. A velocity outside of the
+    cone is replaced by one on an edge, κ = ±κ_max, with the speed (v + ρ² κ ω) / (1 + ρ² κ²). If
+    both edges are about equally near, a moving base keeps its direction. If both are equally near,
+    a base at rest moves backwards: the arm comes ahead of the rear axle, where the score is better.
     """
     if abs(w) <= kappa * abs(v):
         return v, w
@@ -125,7 +121,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def measure(self) -> Measure:
-        """Coefficients of sign(x) (2 κ_max x)² [-]."""
+        """sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:

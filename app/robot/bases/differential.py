@@ -70,7 +70,7 @@ class DifferentialBase(TurningBase):
 
     @property
     def measure(self) -> Measure:
-        """Coefficients of sign(x) det(J_c J_cᵀ) [m⁴/rad⁴], which is 0 on the wheel axis.
+        """sign(x) det(J_c J_cᵀ) [m⁴/rad⁴], which is 0 on the wheel axis.
 
         Paper: Eq. (7), (8).
         """

@@ -2,7 +2,7 @@
 
 A base has velocity axes ν (n_b,). `T` maps ν to the base's twist (v_x, v_y, ω_z) in the base's
 frame: origin on the floor, x forward. `J_m` maps the reduced velocities q̇_b (n_b,), such as the
-wheels' speeds, to ν. The method does not distinguish kinds.
+wheels' speeds, to ν.
 """
 
 import math
@@ -59,14 +59,14 @@ def twist_map(axes: Sequence[Axis]) -> Array:
 
 
 class Measure(NamedTuple):
-    """Coefficients of the signed measure of how well the base can move a point.
-
-    At x [m] in the base's frame the measure is `constant` + `per_square_metre` · x · |x|, in a unit
-    of the kind of base.
-    """
+    """The signed measure of how well the base can move a point, in a unit of the kind of base."""
 
     constant: float
     per_square_metre: float
+
+    def at(self, x: Array) -> Array:
+        """(…) the measure at x (…) [m] in the base's frame."""
+        return self.constant + self.per_square_metre * x * np.abs(x)
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
@@ -98,8 +98,7 @@ class Wheels(NamedTuple):
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
 """Function from the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the
-velocity command (n_b,) to the velocity and the drive one step later. It does not change its
-arguments."""
+velocity command (n_b,) to the velocity and the drive one step later, both as new objects."""
 
 
 @cache
@@ -181,26 +180,14 @@ class BaseKind(Sourced, ABC):
     def score_unit(self) -> float:
         """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴.
 
-        S_0 [m⁴/rad⁴] is chosen for the measure (7) of the paper's robot. A measure of another
-        magnitude needs a divisor; for the measure (7) of every differential base it is 1.
+        It is 1 for the measure (7), for which S_0 [m⁴/rad⁴] is chosen.
         """
         return 1.0
 
     @property
     @abstractmethod
     def measure(self) -> Measure:
-        """Coefficients of the measure that replaces sign(x) det(J_c J_cᵀ) in (10).
-
-        The measure must not decrease with x.
-        """
-
-    def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The `measure` (…) at points p (…, 3) [m] in the base's frame, and its gradient (…, 3)."""
-        constant, quadratic = self.measure
-        x = np.asarray(p, dtype=float)[..., 0]
-        gradient = np.zeros(np.shape(p))
-        gradient[..., 0] = 2 * quadratic * np.abs(x)
-        return constant + quadratic * x * np.abs(x), gradient
+        """The measure that replaces sign(x) det(J_c J_cᵀ) in (10); it must not decrease with x."""
 
     @property
     def A_b(self) -> Array:
@@ -222,10 +209,9 @@ class BaseKind(Sourced, ABC):
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """The feasible velocity (n_b,) nearest to the desired velocity `wanted`; here `wanted`.
+        """The feasible velocity (n_b,) [m/s or rad/s] nearest to a desired one; here the same.
 
-        All arrays are in m/s or rad/s. `wanted` (n_b,) is within the limits of each axis, `before`
-        (n_b,) is the previous velocity command.
+        `wanted` (n_b,) is within the limits of each axis, `before` (n_b,) is the previous command.
         """
         del before
         return wanted
@@ -253,8 +239,7 @@ class BaseKind(Sourced, ABC):
     ) -> Array:
         """(n_b,) [m/s² or rad/s²] acceleration by the drive, (v_cmd − v)/τ, within the limits.
 
-        `v` and `v_cmd` (n_b,) [m/s or rad/s] are the velocity and its command, which is clipped to
-        the limits; `drive` is as in `drive_at_rest`.
+        The command `v_cmd` (n_b,) is clipped to the limits; `drive` is as in `drive_at_rest`.
         """
         del drive
         gain, limits = 1.0 / self.drive_time_constant_s, (self.max_velocity, self.max_acceleration)
