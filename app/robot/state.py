@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
 
 from app.compiled import compiled, direct
 from app.errors import MeasurementError
@@ -76,9 +77,8 @@ def velocities(name: str, values: Any, size: int) -> Array:
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats; missing velocities are NaN.
 
-    Raises:
-        MeasurementError: The value is not a `Measurement`, a field has a wrong type or number of
-            values, a time is of single precision or not in seconds, or a time stamp has no `now`.
+    A MeasurementError means that the value is not a `Measurement`, a field has a wrong type or
+    number of values, a time is of single precision or not in seconds, or a stamp has no `now`.
     """
     if not isinstance(measurement, Measurement):
         fields, kind = ", ".join(Measurement._fields), type(measurement).__name__
@@ -94,14 +94,12 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         )
         if floats and times and shapes in model.reading_shapes:
             return measurement
-    times = (now, time, base_time)
-    now, *stamps = map(_seconds, ("now", "time", "base_time"), times)
-    for name, stamp in zip(("time", "base_time"), stamps, strict=True):
+    names = "now", "time", "base_time"
+    now, *stamps = map(_seconds, names, (now, time, base_time))
+    for name, stamp in zip(names[1:], stamps, strict=True):
         if stamp == stamp and now != now:
-            raise MeasurementError(
-                f"measurement.{name} needs measurement.now, the time of the control step by the "
-                "same clock"
-            )
+            text = "needs measurement.now, the time of the control step by the same clock"
+            raise MeasurementError(f"measurement.{name} {text}")
     return Measurement(
         numbers("measurement.base_pose", pose, 3),
         velocities("measurement.base_velocity", v, model.n_b),
@@ -122,9 +120,8 @@ def _seconds(name: str, value: Any) -> float:
         raise MeasurementError(f"measurement.{name} must be a float of 64 bits: {coarse}")
     found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
     if abs(found) >= _LATEST:
-        raise MeasurementError(
-            f"measurement.{name} must be seconds (not nanoseconds), was {value!r}"
-        )
+        text = f"must be seconds (not nanoseconds), was {value!r}"
+        raise MeasurementError(f"measurement.{name} {text}")
     return found
 
 
@@ -170,8 +167,7 @@ def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twist of the body on each joint, at the origin of the world, and its derivative at q̈ = 0.
 
     Both are (2 + n_m, 6), by joint; the first row is the world's. v (3 + n_m,) is pinocchio's
-    velocity. The axes of each joint turn with its parent. The base's axes are fixed to the base, so
-    that its twist is constant at q̈ = 0.
+    velocity. The base's axes are fixed to the base, so that its twist is constant at q̈ = 0.
     """
     joints = J.shape[1] - 1
     twists, biases = np.zeros((joints, 6)), np.zeros((joints, 6))
@@ -293,17 +289,15 @@ def distance_motions(
     J_r = nᵀ(J_b − J_a) at the point `core` of l_b. n is fixed to l_a and points out of l_a, because
     the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a round link
     near a face: the normal of the face is constant while the closest points slide along the face,
-    and the point of the core does not move on the link. The additional term |v_⊥|²/d of the
-    distance of two fixed points would make the error of d̈ ten times as large.
+    and the point of the core does not move on the link. The term |v_⊥|²/d of the distance of two
+    fixed points would make the error of d̈ ten times as large.
 
-    `joints` (k, 2) are the indices of two joints: the first one moves the body with the normal, the
-    second one the body with the point. `at` (k, 3) [m] are the points, and `normals` (k, 3) unit
-    vectors, or shorter as in `ClosestPoints`, all in the world.
+    `joints` (k, 2) are the indices of the joints that move the bodies with the normal and with the
+    point. `at` (k, 3) [m] are the points, and `normals` (k, 3) unit vectors, or shorter as in
+    `ClosestPoints`, all in the world. The results are J_r (k, n), J̇_r q̇ (k,) [m/s²] with the
+    rotation of the normals, and J_r q̇ (k,) [m/s].
 
     Paper: Eq. (21).
-
-    Returns:
-        (k, n) J_r; (k,) [m/s²] J̇_r q̇, including the rotation of the normals; (k,) [m/s] J_r q̇.
     """
     count = len(joints)
     rows, accelerations, speeds = np.zeros((count, J.shape[1])), np.empty(count), np.empty(count)
@@ -369,15 +363,19 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     world, of all bodies that each joint moves; pinocchio stores a mass before its centre.
     """
     joints, first = len(data.oMi), data.oMi[0].rotation
-    oMi = np.lib.stride_tricks.as_strided(first, (joints, 4, 3), (96, 24, 8))
+    oMi = as_strided(first, (joints, 4, 3), (96, 24, 8))
     last = data.oMi[joints - 1].translation
     assert (oMi[-1, 3] == last).all(), "pinocchio does not store placements as assumed here"
-    before = np.lib.stride_tricks.as_strided(data.oYcrb[0].lever, (joints, 2), (80, -8))[:, 1]
-    Y = np.lib.stride_tricks.as_strided(before, (joints, 4), (80, 8))
+    Y = as_strided(_before(data.oYcrb[0].lever, joints, 80), (joints, 4), (80, 8))
     of_last = data.oYcrb[joints - 1]
     as_read = np.array([of_last.mass, *of_last.lever])
     assert np.array_equal(Y[-1], as_read, equal_nan=True), "pinocchio stores masses in another way"
     return {"M_pin": data.M, "h_pin": data.nle, "J_pin": data.J, "Y_pin": Y, "oMi": oMi}
+
+
+def _before(vector: Array, count: int, size: int) -> Array:
+    """(count,) a view of the numbers before `vector` and before its successors, `size` bytes on."""
+    return as_strided(vector, (count, 2), (size, -8))[:, 1]
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
@@ -392,17 +390,16 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
+    """(k,) [m] a view of the signed distances in coal's results, which this call overwrites.
 
-    This call overwrites the distances. Reading the results one by one would take as long as
-    computing them. Each result stores its distance before its normal; all have the same size.
+    Reading the results one by one would take as long as computing them. Each result stores its
+    distance before its normal; all have the same size.
     """
     if len(results) == 0:
         return np.zeros(0)
     first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
     size = (last - first) // max(len(results) - 1, 1)
-    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
-    view = before[:, 1]
+    view = _before(results[0].normal, len(results), size)
     for k, each in enumerate(results):
         each.min_distance = float(k)
     assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
@@ -483,10 +480,9 @@ class RobotState:
         self.model = model
         self.data = model.pin.createData()
         # These are views of pinocchio's memory, because reading them again takes longer.
-        root, data = self.data.oMi[1], self.data
-        self.R_world_base, self.p_o = root.rotation, root.translation
-        views, self._J = pinocchio_views(data), data.J
-        self._dynamics = views["M_pin"], views["h_pin"], data.J, views["Y_pin"]
+        root, views = self.data.oMi[1], pinocchio_views(self.data)
+        self.R_world_base, self.p_o, self._J = root.rotation, root.translation, views["J_pin"]
+        self._dynamics = views["M_pin"], views["h_pin"], self._J, views["Y_pin"]
         self.pin, self._factor, self._load = model.pin, 1.0, pin.Inertia.Zero()
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
         self._shared = False
@@ -520,16 +516,15 @@ class RobotState:
     def scale_arm_inertias(self, factor: float) -> None:
         """From the next update on, multiply the arm's masses and inertias by a factor [-].
 
-        The centres of mass stay the same. Links that are fixed to the base, such as the arm's first
-        link, and other states of the same model do not change.
+        Links that are fixed to the base, such as the arm's first link, do not change.
         """
         self._factor = factor
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """From the next update on, the end-effector carries a point mass `mass` [kg].
+        """From the next update on, the end-effector carries only a point mass `mass` [kg].
 
-        It replaces a former one. `centre` (3,) [m] is its place in the end-effector's frame.
+        `centre` (3,) [m] is its place in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
@@ -592,10 +587,6 @@ class RobotState:
     def point_velocity(self, joint: int, p_world: Array) -> Array:
         """(3,) [m/s] velocity of the point at `p_world` of the body on a joint."""
         return np.array(point_velocity(self.twists[joint], p_world))
-
-    def point_bias(self, joint: int, p_world: Array) -> Array:
-        """(3,) [m/s²] acceleration at q̈ = 0 of the point at `p_world` of the body on a joint."""
-        return np.array(point_bias(self.twists[joint], self.biases[joint], p_world))
 
     def distance_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:
         """`distance_motions` of points p (k, 3) [m] and normals n (k, 3) on joints (k, 2)."""
