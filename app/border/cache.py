@@ -10,7 +10,7 @@ import json
 import logging
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +19,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
+from pydantic import TypeAdapter
+from pydantic_core import to_json
 
 from app.border.dbb import Cloud, make_cloud
 from app.border.sampling import SamplingConfig, sample_clouds
@@ -26,16 +28,18 @@ from app.errors import OutputError
 from app.robot import assets
 from app.robot.assets import read_urdf, resolve_package_uri
 from app.robot.description import RobotDescription
-from app.robot.link_pairs import LinkPairs, Pair, find_link_pairs
+from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import ConvexMesh
-from app.strict import Array, Finite, NonNegative, Strict
+from app.strict import Array
 from app.system import write_whole
 
 FORMAT = 2  # version of layout and sampling; a new version invalidates all files
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] block size; points are stored as block and offset
 _LARGEST = 256_000_000  # [bytes] largest expanded file; the paper's robot needs 30 MB
 _PARTS = ("blocks", "places", "distances")
+_HEADER = TypeAdapter(dict[str, Any])  # the header of a file has key, format, and the fields of:
+_PAIRS = TypeAdapter(LinkPairs)
 
 _log = logging.getLogger(__name__)
 _FAULTS = OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, RuntimeError, MemoryError
@@ -43,20 +47,6 @@ _FAULTS = OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, Runti
 
 class DamagedFileError(Exception):
     """A file cannot be read, its content is invalid, or its key is not the one in its name."""
-
-
-class _Header(Strict):
-    """The header of a file: all data except the arrays."""
-
-    key: str
-    format: int
-    mobile: tuple[Pair, ...]
-    manipulator: tuple[Pair, ...]
-    never: tuple[Pair, ...]
-    rates: dict[str, NonNegative]
-    least_distance_m: dict[str, Finite]
-    samples: int
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -163,7 +153,7 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
 
 def write(path: Path, data: BorderData, key: str) -> None:
     """Write a file completely, or write nothing and raise an OSError or an OutputError."""
-    header = _Header(format=FORMAT, key=key, **vars(data.pairs)).model_dump_json().encode()
+    header = to_json({"key": key, "format": FORMAT, **vars(data.pairs)})
     content: dict[str, Any] = {"header": np.frombuffer(header, dtype=np.uint8)}
     for i, pair in enumerate(data.pairs.mobile):
         for part, array in zip(_PARTS, _pack(data.clouds[pair.name]), strict=True):
@@ -187,19 +177,19 @@ def read(path: Path, key: str) -> BorderData:
             expanded = sum(each.file_size for each in file.zip.infolist())
             if expanded > _LARGEST:
                 raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
-            header = _Header.model_validate_json(file["header"].tobytes())
-            if (header.key, header.format) != (key, FORMAT):
+            header = _HEADER.validate_json(file["header"].tobytes())
+            if (header.pop("key"), header.pop("format")) != (key, FORMAT):
                 raise DamagedFileError("it belongs to another robot, sampling or version")
+            pairs = _PAIRS.validate_python(header)
             clouds = {
                 pair.name: _unpack(pair.name, *(file[f"cloud{i}_{part}"] for part in _PARTS))
-                for i, pair in enumerate(header.mobile)
+                for i, pair in enumerate(pairs.mobile)
             }
+            return BorderData(pairs, clouds, "cache")
     except FileNotFoundError:
         raise
     except _FAULTS as error:
         raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
-    pairs = {each.name: getattr(header, each.name) for each in fields(LinkPairs)}
-    return BorderData(LinkPairs(**pairs), clouds, "cache")
 
 
 def _pack(cloud: Cloud) -> tuple[Array, Array, Array]:

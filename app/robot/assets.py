@@ -82,10 +82,7 @@ def robot_names() -> list[str]:
 
 
 def check_robot_name(name: str) -> None:
-    """Raise an UnknownNameError if a robot does not exist.
-
-    The message lists the existing robots, and states the first unusable folder of `$DBB_ROBOTS`.
-    """
+    """Raise an UnknownNameError if a robot does not exist; the message has `wrong_folders`."""
     try:
         check_name("robot", name, robot_names())
     except UnknownNameError as error:
@@ -127,11 +124,10 @@ def _folders(name: str) -> list[Path]:
 
 
 def resolve_package_uri(uri: str) -> Path:
-    """The file of `package://PACKAGE/PATH` in an installed package; see `package_roots`.
+    """The file of `package://PACKAGE/PATH` in one of the `package_roots`.
 
-    Raises:
-        AssetError: The address has a different form, the package is not installed or lacks the
-            file, or the path leads out of the package.
+    An AssetError means that the address has a different form, the package is not installed or lacks
+    the file, or the path leads out of the package.
     """
     scheme, _, rest = uri.partition("://")
     package, _, inner = rest.partition("/")
@@ -151,9 +147,9 @@ def resolve_package_uri(uri: str) -> Path:
 
 
 def followed(path: Path) -> Path:
-    """A file's path without symbolic links.
+    """A file's path without symbolic links, but a link to a file with another ending remains.
 
-    A link to a file with another ending stays a link: readers select the format by the ending.
+    Readers select the format by the ending.
     """
     full = path.resolve()
     return full if full.suffix == path.suffix else path.parent.resolve() / path.name
@@ -215,10 +211,8 @@ _ZERO_INERTIAL = (
 def resolved_urdf(description: HasUrdf) -> str:
     """The robot's URDF (`read_urdf`) with the absolute path of each mesh.
 
-    Raises:
-        AssetError: The URDF or one of its meshes is missing, or a mesh with a relative path is
-            outside of the URDF's folder.
-        DescriptionError: As for `read_urdf`.
+    An AssetError also means that a mesh is missing, or that its relative path leads out of the
+    URDF's folder. Other errors: those of `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
@@ -263,10 +257,8 @@ def shapes_of(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, Elem
 def read_urdf(description: HasUrdf) -> ElementTree.Element:
     """The robot's URDF; a link without an inertia gets mass and inertia 0 (pybullet assumes 1 kg).
 
-    Raises:
-        AssetError: The file is missing.
-        DescriptionError: The file cannot be read, `xml_text` refuses it, or it has more than 200
-            moving joints.
+    An AssetError means that the file is missing, a DescriptionError that the file cannot be read,
+    is refused by `xml_text` or has more than 200 moving joints.
     """
     path = urdf_path(description)
     try:
@@ -315,10 +307,8 @@ def stated_stl(begin: bytes) -> tuple[int, int]:
 def xml_text(path: Path) -> str:
     """The text of a valid XML file: UTF-16 by its first bytes, or the declared encoding, or UTF-8.
 
-    Raises:
-        RobotFileError: The file is a placeholder or of another kind, is too large, cannot be
-            decoded, or as for `refuse_entities`.
-        OSError: The file cannot be read.
+    A RobotFileError means that the file is a placeholder or of another kind, is too large or cannot
+    be decoded, or that `refuse_entities` refuses the text; an OSError, that it cannot be read.
     """
     try:
         content = content_of(path)
@@ -343,14 +333,11 @@ def xml_text(path: Path) -> str:
 
 
 def refuse_entities(content: bytes | str, path: Path) -> None:
-    """Refuse XML that a parser of trees could not read safely.
+    """Raise a RobotFileError if the XML of a file `path` is not safe for a parser of trees.
 
-    `content` is bytes in their declared encoding, or text, whose declared encoding is ignored;
-    `path` is the name of the file in the message.
-
-    Raises:
-        RobotFileError: The XML declares an entity, as in a "billion laughs" attack; nests deeper or
-            has more elements or attributes than any robot; or is not well-formed.
+    Unsafe XML declares an entity, as in a "billion laughs" attack, nests deeper or has more
+    elements or attributes than any robot, or is not well-formed. `content` is bytes in their
+    declared encoding, or text, whose declared encoding is ignored.
     """
 
     def refuse(name: str, *_: object) -> NoReturn:

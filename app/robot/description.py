@@ -231,9 +231,8 @@ def differential(description: RobotDescription) -> DifferentialBase:
 def load_description(path: Path) -> RobotDescription:
     """Read and validate a description file.
 
-    Raises:
-        DescriptionError: The file is missing, unreadable or not TOML, or a field is missing,
-            unknown or invalid; the message names the file, the field and the valid values.
+    If the file is not readable or not valid, this raises a DescriptionError that names the file,
+    the field and the valid values.
     """
     try:
         return RobotDescription.model_validate(from_toml(file_text(path)))

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from app.robot.model import RobotModel
 from app.robot.state import ShapeDistances
-from app.strict import Array
+from app.strict import Array, Finite, NonNegative
 
 
 class Pair(NamedTuple):
@@ -45,11 +45,6 @@ class ClosestPoints(NamedTuple):
     """The closest points of each convex part of `a`, if there are several."""
 
 
-def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
-    """The closest points of a pair, with those of its parts in the field `parts`."""
-    return closest._replace(parts=parts)
-
-
 @dataclass(frozen=True)
 class LinkPairs:
     """The set L of (1), all pairs that can collide, split as in (2)."""
@@ -60,14 +55,13 @@ class LinkPairs:
     """L_m^c, the pairs of two bodies of the arm."""
     never: tuple[Pair, ...]
     """Pairs without a sample in collision."""
-    rates: dict[str, float] = field(hash=False)
+    rates: dict[str, NonNegative] = field(hash=False)
     """Share of the samples in collision, by the name of the pair."""
-    least_distance_m: dict[str, float] = field(hash=False)
+    least_distance_m: dict[str, Finite] = field(hash=False)
     """[m] smallest sampled signed distance, by the name of the pair."""
     samples: int
     """Number of sampled joint positions."""
     seed: int
-    """Seed of the random joint positions."""
 
     @property
     def all(self) -> tuple[Pair, ...]:
@@ -79,11 +73,8 @@ class PairDistances(ShapeDistances):
     """Distances and closest points of some pairs, by the collision library.
 
     Call `update` or `update_from` for each configuration, then the other methods; `sampled` needs
-    no earlier call. The distance of a body of several shapes is that of its nearest shape.
-
-    Attributes:
-        pairs: The pairs, in the order of their indices.
-        data: pinocchio's data of the last `update`.
+    no earlier call. The distance of a body of several shapes is that of its nearest shape. `data`
+    is pinocchio's data of the last `update`.
     """
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
@@ -129,7 +120,7 @@ class PairDistances(ShapeDistances):
             p_a, p_b = at.getNearestPoint1(), at.getNearestPoint2()
             n = at.normal.copy()  # unlike the points, it is a view
             found.append(ClosestPoints(self.pairs[i], at.min_distance, p_a, p_b, n, p_b))
-        return with_parts(*found)
+        return found[0]._replace(parts=tuple(found[1:]))
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
         """The result for the two nearest shapes of the i-th pair; the next update overwrites it."""
@@ -169,7 +160,8 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
     names = [pair.name for pair in pairs]
     rates = dict(zip(names, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
     least = dict(zip(names, distances.min(axis=0).tolist(), strict=True))
-    mobile = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a == lm)
-    manipulator = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a != lm)
-    never = tuple(pair for pair in pairs if rates[pair.name] == 0)
+    met = [pair for pair in pairs if rates[pair.name] > 0]
+    mobile = tuple(pair for pair in met if pair.a == lm)
+    manipulator = tuple(pair for pair in met if pair.a != lm)
+    never = tuple(pair for pair in pairs if pair not in met)
     return LinkPairs(mobile, manipulator, never, rates, least, samples, seed)
