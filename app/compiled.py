@@ -36,13 +36,12 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """A decorator: it compiles a function for the types in `signatures` at the module's import.
 
     The first import stores the compiled kernel, and later imports load it. Without a writable
-    folder, each process compiles the kernel again. A call never waits for the compiler. It raises a
-    TypeError if an argument, such as an array with a different dtype, fits no signature.
+    folder, each process compiles the kernel again. A call raises a TypeError if an argument, such
+    as an array with a different dtype, fits no signature.
 
     A signature is a text in numba's notation, such as ``f8[:](f8[:,:], i8)`` (`_any_array` changes
     its array types), or a `Signature` of numba, which is used unchanged. A function without
-    signatures is compiled as a part of the kernels that call it. Its first call from Python waits
-    for the compiler.
+    signatures is compiled as a part of the kernels that call it, and at its first call from Python.
     """
 
     def compile_(function: Function) -> Function:
@@ -50,7 +49,7 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
         if config.DISABLE_JIT:
             return cast("Function", kernel)
         _be_part_of_callers(kernel, numba.njit(error_model="numpy", pipeline_class=_PartCompiler))
-        with suppress(OSError):  # a function without a file cannot be stored
+        with suppress(OSError, RuntimeError):  # a function without a file cannot be stored
             kernel._cache = KernelStore(kernel.py_func)
         if not signatures:
             return cast("Function", kernel)

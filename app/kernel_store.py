@@ -22,11 +22,10 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     """Name and digest of each file on which a compiled kernel depends.
 
-    These are the kernel's file, the files of the compiled functions that it calls, and the files
-    that compile kernels and lay out structs. Called functions are found by their names in the
-    kernel. The kernel's constants must be in one of these files: a change of another file would not
-    change the result. A digest, unlike a time, does not change if an installation is copied. An
-    unreadable file raises an OSError.
+    These are the kernel's file, the files of the compiled functions that it calls by name, and the
+    files that compile kernels and lay out structs. The kernel's constants must be in one of them. A
+    digest, unlike a time, does not change if an installation is copied. An unreadable file raises
+    an OSError.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
@@ -58,27 +57,18 @@ def _folders(file: str, *, make: bool) -> Iterator[Path]:
     yield from (folder / "kernels" / subfolder for folder in cache_folders(make=make))
 
 
-class _Locator(caching._CacheLocator):
+class _Locator(caching.InTreeCacheLocator):
     """A kernel's source, described for numba, whose own locators refuse read-only folders."""
 
-    def __init__(self, function: FunctionType) -> None:
+    def __init__(self, function: FunctionType, file: str) -> None:
+        super().__init__(function, file)
         self._function = function
-
-    @classmethod
-    def from_function(cls, py_func: FunctionType, py_file: str) -> _Locator:
-        return cls(py_func)
-
-    def get_cache_path(self) -> str:
-        return str(Path(inspect.getfile(self._function)).parent)
 
     def ensure_cache_path(self) -> None:
         """Do nothing: the write itself shows whether the folder is writable."""
 
     def get_source_stamp(self) -> tuple[tuple[str, str], ...]:
         return _stamp(self._function)
-
-    def get_disambiguator(self) -> str:
-        return str(self._function.__code__.co_firstlineno)
 
 
 class _Described(caching.CompileResultCacheImpl):

@@ -44,9 +44,9 @@ def usable_cores() -> int:
 def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    On three or more cores, the process also gets a real-time policy if possible. When it has worked
-    for 0.5 s without a pause, it leaves this policy permanently; if that fails, the system ends it
-    after 30 s without a pause. Call this function in the main thread, before other threads start.
+    On three or more cores, the process also gets a real-time policy if possible, which it leaves
+    after working for 0.5 s without a pause. If it cannot leave, the system ends it after 30 s. Call
+    this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -255,9 +255,8 @@ def own_path(path: Path) -> Path:
             continue
         links += 1
         if links > 40 or _is_foreign(here):
-            raise OutputError(
-                f"cannot write {path}: {here} is a link of another user, or part of a circle"
-            )
+            why = f"{here} is a link of another user, or part of a circle"
+            raise OutputError(f"cannot write {path}: {why}")
         target = here.readlink()
         found = Path("/") if target.is_absolute() else found
         parts[:0] = [each for each in target.parts if each != "/"]
@@ -274,16 +273,15 @@ def _is_foreign(link: Path) -> bool:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
-    Thus no reader sees an incomplete file. If `path` is a link of this user, the link remains, and
-    the new file replaces its target. If the file cannot be written, this raises an OutputError, and
-    the previous file remains.
+    No reader sees an incomplete file. If `path` is a link of this user, the file replaces the
+    target of the link. If the file cannot be written, this raises an OutputError, and the previous
+    file remains.
     """
     try:
         real = own_path(path)
         if is_no_file(real):
-            raise OutputError(
-                f"cannot write {path}: it is a folder, a device, a pipe or a mount point"
-            )
+            why = "it is a folder, a device, a pipe or a mount point"
+            raise OutputError(f"cannot write {path}: {why}")
         with unfinished_folder(real.parent) as folder:
             beside = folder / path.name
             yield beside
@@ -330,12 +328,6 @@ def write_whole(path: Path, content: bytes | str) -> None:
     """Write bytes, or a text as UTF-8, completely or not at all, by `whole_file`."""
     with whole_file(path) as beside:
         beside.write_bytes(content.encode() if isinstance(content, str) else content)
-
-
-def peak_memory() -> float:
-    """[MB] peak memory of this process."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6  # Linux: in KiB
 
 
 def return_freed_memory_early() -> None:

@@ -17,7 +17,7 @@ from app.avoidance.closest_points import (
     mean_nearest,
 )
 from app.border.dbb import Border
-from app.border.nearest import Table, border_struct, nearest_border
+from app.border.nearest import OffsetContours, border_struct, nearest_border
 from app.robot.link_pairs import Pair
 from app.robot.shapes import Capsule, Sphere
 from app.robot.state import RobotState
@@ -55,8 +55,8 @@ class Foot(NamedTuple):
 class BorderSearch:
     """The search of a border for the point nearest to a query point."""
 
-    def __init__(self, table: Table, borders: Sequence[Border] = ()) -> None:
-        self._border = border_struct(table, borders)
+    def __init__(self, offset: OffsetContours, borders: Sequence[Border] = ()) -> None:
+        self._border = border_struct(offset, borders)
 
     def nearest(self, p: Array) -> Foot | None:
         """The border point of the first pair nearest to p (3,) [m]; None if l_m has no border."""

@@ -8,7 +8,7 @@ regions the reachability in the score leads away from them.
 
 At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
 closed polygon. The parts of all rings outside of the other shapes' offsets form the contour: one
-closed curve, or several curves around islands or holes. Between two heights of a `Table`, the
+closed curve, or several curves around islands or holes. Between the heights of two rings, the
 vertices and their distances to the other offsets are interpolated; two rings cross where such a
 distance is zero. The contour jumps only at heights where a shape begins or ends.
 """
@@ -36,8 +36,12 @@ Corner = tuple[complex, complex, bool]
 and whether the visible part of the ring starts there."""
 
 
-class Table(NamedTuple):
-    """The rings of all shapes. The first vertex of a row is repeated at its end."""
+class OffsetContours(NamedTuple):
+    """The contours of the offset of l_m at each height: the rings of all visible shapes.
+
+    Without an offset above the floor, there are no rings. Each row of the arrays (N, …) is a ring;
+    the first vertex is repeated at the end.
+    """
 
     firsts: Array
     """(K + 1,) row of each shape's first ring, and the number of rows."""
@@ -52,9 +56,43 @@ class Table(NamedTuple):
     spans: Array
     """(N, R / BLOCK) [m] largest distance of a vertex from the middle vertex of its block."""
 
+    def contours(self, z: float) -> list[Array]:
+        """The contour at height z [m]: polylines (K, 2) [m] of the visible pieces of all rings."""
+        found = []
+        for first, end in zip(self.firsts[:-1], self.firsts[1:], strict=True):
+            heights = self.heights[first:end]
+            if not heights[0] <= z <= heights[-1]:
+                continue
+            k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
+            share = (z - heights[k]) / (heights[k + 1] - heights[k])
+            rows, weights = first + k + np.arange(2), (1.0 - share, share)
+            found += _pieces(weights @ self.vertices[rows], weights @ self.shown[rows])
+        return found
+
+    def curves(self, z: float) -> list[Array]:
+        """The contour as curves (K, 3) [m], drawn at height z [m].
+
+        If there is no contour at z, the curves have the shape of the contour nearest in height.
+        """
+        at = level(self.firsts, self.heights, z)
+        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
+
+
+def _pieces(ring: Array, shown: Array) -> list[Array]:
+    """The visible pieces (K, 2) [m] of a ring of vertices with their `shown`, at one height."""
+    if (shown >= 0.0).all():
+        return [np.column_stack([ring.real, ring.imag])]
+    turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
+    ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
+    i = np.flatnonzero((shown[:-1] < 0.0) != (shown[1:] < 0.0))
+    crossings = ring[i] + shown[i] / (shown[i] - shown[i + 1]) * (ring[i + 1] - ring[i])
+    ring, visible = np.insert(ring, i + 1, crossings), np.insert(shown >= 0.0, i + 1, True)
+    pieces = np.split(ring, np.flatnonzero(np.diff(visible)) + 1)[1::2]
+    return [np.column_stack([piece.real, piece.imag]) for piece in pieces]
+
 
 _f8, _c16, _i8 = types.f8, types.c16, types.i8
-_BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
+_BORDER: dict[str, Any] = {  # first the fields of `OffsetContours`
     "firsts": types.Array(_i8, 1, "C"),
     "heights": types.Array(_f8, 1, "C"),
     "vertices": types.Array(_c16, 2, "C"),
@@ -73,7 +111,7 @@ BORDER = struct_type("_Values", _BORDER)
 
 @compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
-    """[m] the height nearest to z at which a shape of a `Table` has a ring; z if none has one."""
+    """[m] the height nearest to z at which a shape has a ring; z without rings."""
     best, distance = z, np.inf
     for j in range(len(firsts) - 1):
         at = min(max(z, heights[firsts[j]]), heights[firsts[j + 1] - 1])
@@ -290,13 +328,13 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     return exact[0], exact[1]
 
 
-def border_struct(table: Table, borders: Sequence[Border] = ()) -> Any:
-    """A struct `BORDER` of a table or, if there are `borders`, of their points and the table.
+def border_struct(contours: OffsetContours, borders: Sequence[Border] = ()) -> Any:
+    """A struct `BORDER` for a search of the contours or, if there are `borders`, of their points.
 
-    `borders` has the border of each pair of arm and base, all for the d_b of the table.
+    `borders` has the border of each pair of arm and base, all for the d_b of the contours.
     """
     points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
     sampled = np.cumsum([0, *map(len, borders)])
     eps = borders[0].eps if borders else 0.0
-    arrays = map(np.ascontiguousarray, table)
+    arrays = map(np.ascontiguousarray, contours)
     return BORDER.made_of(_Values(*arrays, bool(borders), points, sampled, eps))

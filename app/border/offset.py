@@ -12,7 +12,7 @@ import numpy as np
 
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import ConvexPart, MobileBody, Shapes
-from app.border.nearest import BLOCK, Table, border_struct, level
+from app.border.nearest import BLOCK, OffsetContours, border_struct
 from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
@@ -32,71 +32,14 @@ _Rings = tuple[Array, Array]
 heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equals the first."""
 
 
-class OffsetContours:
-    """The contours of the offset of l_m at each height, for a buffer distance d_b [m].
-
-    Each shape of l_m has a ring at each height of its offset. The contours are the parts of the
-    rings outside of the other shapes' offsets: one closed curve, or several with islands and holes.
-    """
-
-    def __init__(self, model: RobotModel, d_b: float) -> None:
-        self.d_b = d_b
-        self.table = _table(MobileBody(model).parts, d_b)
-        """The rings of the visible shapes; empty if l_m has no offset above the floor."""
-
-    def contours(self, z: float) -> list[Array]:
-        """The contour at height z [m]: polylines (K, 2) [m] of the visible pieces of all rings."""
-        table, found = self.table, []
-        for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
-            heights = table.heights[first:end]
-            if not heights[0] <= z <= heights[-1]:
-                continue
-            k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
-            share = (z - heights[k]) / (heights[k + 1] - heights[k])
-            rows, weights = first + k + np.arange(2), (1.0 - share, share)
-            found += _pieces(weights @ table.vertices[rows], weights @ table.shown[rows])
-        return found
-
-    def curves(self, z: float) -> list[Array]:
-        """The contour as curves (K, 3) [m], drawn at height z [m].
-
-        If there is no contour at z, the curves have the shape of the contour nearest in height.
-        """
-        at = level(self.table.firsts, self.table.heights, z)
-        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
-
-
-def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The visible pieces (K, 2) [m] of a row of `Table.vertices` with its row of `Table.shown`."""
-    if (shown >= 0.0).all():
-        return [np.column_stack([ring.real, ring.imag])]
-    turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
-    ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
-    i = np.flatnonzero((shown[:-1] < 0.0) != (shown[1:] < 0.0))
-    crossings = ring[i] + shown[i] / (shown[i] - shown[i + 1]) * (ring[i + 1] - ring[i])
-    ring, visible = np.insert(ring, i + 1, crossings), np.insert(shown >= 0.0, i + 1, True)
-    pieces = np.split(ring, np.flatnonzero(np.diff(visible)) + 1)[1::2]
-    return [np.column_stack([piece.real, piece.imag]) for piece in pieces]
-
-
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for a buffer distance d_b [m]; cached for each model."""
-    return OffsetContours(model, d_b)
+    """The contours for a buffer distance d_b [m]; cached for each model.
 
-
-@kept_per_model(8)
-def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> Any:
-    """The struct `BORDER` of the configured kind, for the pairs of the clouds; cached by model."""
-    table = offset_contours(model, config.d_b).table
-    if config.kind == "surface":
-        return border_struct(table)
-    return border_struct(table, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
-
-
-def _table(parts: list[ConvexPart], d_b: float) -> Table:
-    """The rings of all visible shapes, by decreasing horizontal size."""
-    parts = sorted(parts, key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
+    The shapes of l_m are in the order of decreasing horizontal size.
+    """
+    parts = MobileBody(model).parts
+    parts.sort(key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
     traced = [(part, rings) for part in parts if len((rings := _trace_rings(part, d_b))[0])]
     kept = list(range(len(traced)))
 
@@ -115,7 +58,7 @@ def _table(parts: list[ConvexPart], d_b: float) -> Table:
     tangents /= np.abs(tangents)
     blocks = np.arange(0, RAYS, BLOCK)[:, None] + np.arange(BLOCK + 1)
     middles = vertices[:, blocks[:, BLOCK // 2]]
-    return Table(
+    return OffsetContours(
         np.cumsum([0, *(len(heights) for heights, _ in rings)]),
         np.concatenate([none[:, 0], *(heights for heights, _ in rings)]),
         vertices,
@@ -123,6 +66,15 @@ def _table(parts: list[ConvexPart], d_b: float) -> Table:
         np.concatenate([none, *map(shown, kept)]),
         np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2, initial=0.0),
     )
+
+
+@kept_per_model(8)
+def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> Any:
+    """The struct `BORDER` of the configured kind, for the pairs of the clouds; cached by model."""
+    contours = offset_contours(model, config.d_b)
+    if config.kind == "surface":
+        return border_struct(contours)
+    return border_struct(contours, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
 
 
 def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
