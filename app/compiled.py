@@ -119,10 +119,8 @@ class _PartLowering(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Translation to machine code that has neither vector instructions nor unrolled loops.
-
-    Vector instructions are slower for loops of nine iterations. Unrolled loops double the size of
-    the code, which each control step has to read from memory.
+    """Translation to machine code without vector instructions, which are slower for loops of nine
+    iterations, and without unrolled loops, which would double the size of the code.
     """
 
     _name = "compact_lowering"
@@ -182,8 +180,7 @@ class _PartCompiler(_Compiler):
 def direct(kernel: Function) -> Function:
     """The compiled code of a kernel with one signature; with ``NUMBA_DISABLE_JIT=1`` the kernel.
 
-    The code does not check the types of the arguments, because numba's check takes 2 to 3 µs per
-    call. A call with a wrong type has undefined behaviour.
+    A call skips numba's check of types, which takes 2 to 3 µs; a wrong type is undefined behaviour.
     """
     if config.DISABLE_JIT:
         return kernel
@@ -192,10 +189,8 @@ def direct(kernel: Function) -> Function:
 
 
 def _any_array(signature: str) -> Signature:
-    """The signature in which arrays such as `f8[:]` can have any strides and can be read-only.
-
-    The types of arrays that are declared contiguous, such as `f8[::1]`, do not change. A function
-    without a result writes into its arguments: its signature does not change.
+    """The signature in which arrays such as `f8[:]`, but not `f8[::1]`, can have any strides and be
+    read-only; it does not change for a function without a result, which writes into its arguments.
     """
     arguments, returned = sigutils.normalize_signature(signature)
     if returned != types.void:

@@ -20,12 +20,11 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of each file on which a compiled kernel depends.
+    """Name and digest of each file on which a compiled kernel depends: its file, those of the
+    compiled functions that it calls by name, and those that compile kernels and lay out structs.
 
-    These are the kernel's file, the files of the compiled functions that it calls by name, and the
-    files that compile kernels and lay out structs. The kernel's constants must be in one of them. A
-    digest, unlike a time, does not change if an installation is copied. An unreadable file raises
-    an OSError.
+    The kernel's constants must be in one of them. A digest, unlike a time, does not change if an
+    installation is copied. An unreadable file raises an OSError.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
@@ -45,10 +44,8 @@ def _digest(file: Path) -> str:
 
 
 def _folders(file: str, *, make: bool) -> Iterator[Path]:
-    """The possible folders of a source file's kernels, in the order of search.
-
-    The first one is in NUMBA_CACHE_DIR, if this variable is set. `__pycache__` next to the source
-    file follows, then a folder in each of `cache_folders(make=make)`, the folders of this user.
+    """The possible folders of a source file's kernels, in the order of search: in NUMBA_CACHE_DIR,
+    if it is set, `__pycache__` next to the source file, and in each of `cache_folders(make=make)`.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:

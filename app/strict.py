@@ -193,10 +193,11 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text with `loads` (TOML or JSON), by `within_budget`.
+    """Parse an untrusted text with `loads` (TOML or JSON), by `within_budget`; `heavy` texts
+    always.
 
-    With `heavy`, even a short text has a budget. A ValueError means that the text is invalid, too
-    deeply nested or longer than a million characters, or that parsing exceeds the budget.
+    A ValueError means that the text is invalid, too deeply nested or longer than a million
+    characters, or that parsing exceeds the budget.
     """
     if len(text) > LARGEST_DATA:
         raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
@@ -254,9 +255,8 @@ def placeholder(content: bytes) -> str:
 
 
 def text_of(content: bytes) -> str:
-    """Decode the text of a user's file: UTF-8, or UTF-16 with a byte order mark.
-
-    The result has no byte order mark, and only line feeds as line ends.
+    """The text of a user's file, with line feeds as line ends: UTF-8, or UTF-16 with a byte order
+    mark.
 
     A ValueError means that the file has a different encoding (the message names the line), or that
     the content is a `placeholder` and not empty.

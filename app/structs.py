@@ -22,10 +22,8 @@ size, and allocator. Python holds one reference: compiled code never frees the m
 
 @structref.register
 class _Struct(types.StructRef):
-    """numba's type of a struct: names and types of its fields.
-
-    The type's name is short, because numba includes it in the name of every function that takes the
-    struct.
+    """numba's type of a struct; it has a short name, which numba includes in the name of every
+    function that takes the struct.
     """
 
     def __init__(self, name: str, fields: dict[str, types.Type]) -> None:

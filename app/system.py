@@ -73,8 +73,8 @@ def lower_priority(niceness: int) -> None:
 def limited(seconds: float, memory: int) -> Iterator[None]:
     """Limit the additional processor time [s] and memory [bytes] of this process in the `with`.
 
-    Beyond the time, the system ends the process. Beyond the memory, an allocation fails; macOS has
-    no limit of the memory.
+    Beyond the time, the system ends the process. Beyond the memory, an allocation fails (not on
+    macOS).
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -238,10 +238,8 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """Resolve the links of a path.
-
-    An OutputError means that the path has a link of another user in a shared folder or more than 40
-    links, or is relative to a working folder that has been removed.
+    """Resolve the links of a path; an OutputError if it has more than 40 links or another user's
+    link in a shared folder, or is relative to a working folder that has been removed.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -294,10 +292,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """Yield a temporary folder that becomes `out` if the `with` raises no error.
-
-    An OutputError means that `out` exists and is not an empty folder, is a mount point or cannot be
-    written, or that another process is making it.
+    """Yield a temporary folder that becomes `out` if the `with` raises no error; an OutputError if
+    `out` is not an empty folder, a mount point or not writable, or another process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -358,10 +354,9 @@ def home_expanded(path: str) -> Path:
 
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
-    """This user's cache folders: the standard one, then one in the folder for temporary files.
-
-    A user without a home directory has only the temporary one. With `make`, the temporary one is
-    created when the iteration arrives at it. If it cannot be used, it is left out.
+    """This user's cache folders: the standard one, if the user has a home, then one in the folder
+    for temporary files, if it can be used; with `make`, it is created when the iteration arrives
+    there.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -406,8 +401,7 @@ def open_standard_files() -> None:
 def set_missing_folders() -> None:
     """Set a writable temporary folder and a home for this program and its children, if missing.
 
-    In a container, /dev/shm is often the only writable folder, and the user may have no home, which
-    browsers need to start.
+    In a container, often only /dev/shm is writable; browsers need a home to start.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)

@@ -1,7 +1,7 @@
 """Files of a robot's offline results: its link pairs, and P_i of Algorithm 1 (the clouds).
 
-If there is no valid file, the content is computed once and stored. A file is an `.npz` without
-pickles. Its name and header have its key, a hash of all inputs that is equal on all machines.
+A file is an `.npz` without pickles. Its name and header have its key, a hash of all inputs that is
+equal on all machines.
 """
 
 import hashlib
@@ -121,8 +121,8 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits.
 
     The key depends on the sampling, and on all data of the robot that determine its pairs and
-    clouds, but not on masses, colours, gains or paths. If the URDF or a mesh is missing, this
-    raises an AssetError.
+    clouds, but not on masses, colours, gains or paths. Raises an AssetError if the URDF or a mesh
+    is missing.
     """
     arm = description.arm
     content = {
@@ -165,10 +165,8 @@ def write(path: Path, data: BorderData, key: str) -> None:
 
 
 def read(path: Path, key: str) -> BorderData:
-    """Read a file, and verify its checksums and its key.
-
-    This raises a FileNotFoundError or, for an unreadable, too large or invalid file or another key,
-    a DamagedFileError.
+    """Read a file, and verify its checksums and its key; a FileNotFoundError or, for an invalid,
+    too large or unreadable file or another key, a DamagedFileError.
     """
     try:
         # `np.load` would leave an unreadable file open, and would accept a plain array.

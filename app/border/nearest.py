@@ -1,16 +1,15 @@
 """The border point nearest to a query point: p_n of Algorithm 3.
 
 The border is a surface, the exact offset of l_m, or consists of points as in the paper, which are
-within ε of the surface. The nearest point of the surface moves continuously with the query point;
-it jumps only where two points of the surface are equally near. The surface is closed, so it also
-covers regions that the arm never reaches. The arm's closest point is never there, and near such
-regions the reachability in the score leads away from them.
+within ε of the surface. The surface is closed, so it also covers regions that the arm never
+reaches. The arm's closest point is never there, and near such regions the reachability in the score
+leads away from them.
 
 At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
 closed polygon. The parts of all rings outside of the other shapes' offsets form the contour: one
 closed curve, or several curves around islands or holes. Between the heights of two rings, the
 vertices and their distances to the other offsets are interpolated; two rings cross where such a
-distance is zero. The contour jumps only at heights where a shape begins or ends.
+distance is zero.
 """
 
 import math
@@ -39,8 +38,7 @@ and whether the visible part of the ring starts there."""
 class OffsetContours(NamedTuple):
     """The contours of the offset of l_m at each height: the rings of all visible shapes.
 
-    Without an offset above the floor, there are no rings. Each row of the arrays (N, …) is a ring;
-    the first vertex is repeated at the end.
+    Each row of the arrays (N, …) is a ring; the first vertex is repeated at the end.
     """
 
     firsts: Array
@@ -201,8 +199,7 @@ def _dot(a: complex, b: complex) -> float:
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
     """The fraction along an edge at which the line to p is perpendicular to the tangent.
 
-    `to_p` leads from the edge's start to p. The tangent is interpolated from t to t_next; with the
-    direction of the edge, the nearest point would jump at vertices.
+    `to_p` leads from the edge's start to p. The tangent is interpolated from t to t_next.
     """
     # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
     a = -_dot(edge, t_next - t)
@@ -284,14 +281,12 @@ def nearest_sample(
     """FindSameHeight and FindMinDistancePoint: the sampled border point nearest to p (3,) [m].
 
     The pair's border points are those from `first` to `end` - 1 of `points` (N, 3) [m], by
-    ascending height; `eps` [m] is ε of (3).
+    ascending height; `eps` [m] is ε of (3). The results are the nearest point (3,) [m] at the
+    height of p; the unit tangent (3,), perpendicular to the line from p to this point, NaN if their
+    distance is at most ε; and whether there are points at this height. If not, the first two are
+    invalid.
 
     Paper: Algorithm 3, lines 1 to 4.
-
-    Returns:
-        The nearest point (3,) [m], moved to the height of p; the unit tangent (3,), perpendicular
-        to the line from p to this point, NaN if their horizontal distance is at most ε; and whether
-        there are points at this height. Without points, the first two results are invalid.
     """
     low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
     heights = points[first:end, 2]
@@ -311,10 +306,9 @@ def nearest_sample(
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and the tangent.
 
-    If the border consists of points, and the pair with the index `pair` has some at this height,
-    the result is that of `nearest_sample`; if its tangent is NaN, the tangent is that of the
-    surface. Otherwise the result is that of `nearest_offset`. If l_m has no border, x and y of both
-    are NaN.
+    If the pair with the index `pair` has sampled points at this height, the result is that of
+    `nearest_sample`, with the surface's tangent for NaN, otherwise that of `nearest_offset`. If l_m
+    has no border, x and y of both are NaN.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]

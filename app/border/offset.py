@@ -1,7 +1,6 @@
 """The border as a surface: the exact offset of the base, {p : distance to l_m = d_b}.
 
-The offset also replaces sampled points at heights without points, so that an acting point exists
-at every height. All heights and positions are in the base's frame.
+All heights and positions are in the base's frame.
 """
 
 from __future__ import annotations
@@ -141,8 +140,7 @@ class _Tracer:
     def _inside(self, centre: Array, z: float) -> Array | None:
         """A point (2,) [m] inside the slice at height z [m], or None if the slice is empty.
 
-        Rays that start outside of the slice end at its far side. The mean of these ends is inside,
-        because the slice is convex.
+        Rays from outside of the convex slice end at its far side; the mean of these ends is inside.
         """
         d, n_x, n_y, _ = self._part.shapes.distances_and_normals(np.array([[*centre, z]]))[0]
         for start in (centre, centre - d * np.array([n_x, n_y]), self._middle):
@@ -184,10 +182,8 @@ class _Tracer:
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
-    """(H,) [m] the heights at which a shape's offset is traced.
-
-    They start at the floor or, for a shape high above the floor, on an arc below its bottom. They
-    are at most 10 mm apart: in height beside the shape, along the arc above and below it.
+    """(H,) [m] the heights at which a shape's offset is traced, at most 10 mm apart beside the
+    shape, or along the arcs above and below; an arc is only below a shape high above the floor.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

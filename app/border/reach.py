@@ -5,7 +5,6 @@ integral of |det J| over the joint positions that lead into a region of poses is
 solutions, integrated over the poses in the region.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -115,8 +114,8 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 def free_joints(chain: Chain) -> tuple[int, ...]:
     """Redundant joints, as indices in the chain: if they are fixed, a pose determines the others.
 
-    If several choices are possible, the joints nearest to the body are chosen. If the Jacobian of
-    the others is singular for each choice, this raises a DescriptionError.
+    They are as near to the body as possible. Raises a DescriptionError if the Jacobian of the
+    others is singular for each choice.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(20)]
@@ -168,20 +167,23 @@ class ReachMap:
 def sample_reach_map(
     model: RobotModel, body: str, *, samples: int = 20_000, spacing: float = 0.08, seed: int = 0
 ) -> ReachMap:
-    """Compute the mean number of inverse kinematics solutions for a body in the whole workspace.
+    """The mean number of inverse kinematics solutions for a body in the whole workspace, from
+    `samples` random joint positions, on a lattice with `spacing` [m] in a ball around the mount.
 
-    `samples` is the number of random joint positions. The lattice with `spacing` [m] fills a ball
-    around the mount that contains the whole workspace. If each sample is in self-collision, this
-    raises a DescriptionError; other errors: those of `Chain` and `free_joints`.
+    Raises a DescriptionError if each sample is in self-collision, and the errors of `Chain` and
+    `free_joints`.
     """
     chain, p_base = Chain(model, body), model.p_base()
-    free, is_free = free_joints(chain), _clearance(model, chain)
+    free, within = free_joints(chain), model.body_names[: model.body_names.index(body) + 1]
+    distances = PairDistances(model, [p for p in candidate_pairs(model) if p.b in within])
+    posture, moved = model.configuration((0.0, 0.0, 0.0), model.q_lower), np.array(chain.joints) + 4
     solved = [i for i in range(len(chain.joints)) if i not in free]
     rng, size = np.random.default_rng(seed), chain.coordinates
     steps, J = np.zeros((samples, 3), dtype=int), np.zeros((samples, size, size))
     for i in range(samples):
-        q = chain.random(rng)
-        if is_free(q):
+        q = posture[moved] = chain.random(rng)
+        distances.update(posture)
+        if min(distances.distances(), default=1.0) > 0.0:
             at, jacobian = chain.pose_and_jacobian(q)
             steps[i] = np.round((at.translation - p_base) / spacing)
             J[i] = jacobian[:size, solved]
@@ -225,18 +227,3 @@ def lattice(radius: float, spacing: float) -> Array:
     along = np.arange(-reach, reach + 1)
     steps = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
     return steps[(steps**2).sum(axis=1) <= (radius / spacing) ** 2].astype(np.int16)
-
-
-def _clearance(model: RobotModel, chain: Chain) -> Callable[[Array], bool]:
-    """A function of positions (k,): whether the bodies from the base to the chain's are apart."""
-    names = model.body_names
-    known = names[: names.index(chain.body) + 1]
-    distances = PairDistances(model, [p for p in candidate_pairs(model) if p.b in known])
-    q, moved = model.configuration((0.0, 0.0, 0.0), model.q_lower), np.array(chain.joints) + 4
-
-    def is_free(positions: Array) -> bool:
-        q[moved] = positions
-        distances.update(q)
-        return min(distances.distances(), default=1.0) > 0.0
-
-    return is_free

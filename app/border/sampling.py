@@ -117,10 +117,8 @@ def _flood_jobs(
     found: Mapping[Pair, Kept],
     kept: Mapping[Pair, Kept],
 ) -> list[SectorJob]:
-    """A job for each sector and pair with an open voxel at or next to a posture of `found`.
-
-    `kept` are the postures of all previous floods. After the first one, a sector's own postures in
-    `found` do not count.
+    """A job for each sector and pair with an open voxel at or next to a posture of `found`; if a
+    former flood has found `kept`, without the sector's own postures.
     """
     jobs = []
     for pair, seed in seeds.items():
@@ -260,8 +258,8 @@ class _Flood:
     def run(self, sources: Array) -> Witnesses:
         """Flood the open voxels from postures (N, n_m): one posture for each voxel that is reached.
 
-        In each of up to `retries` + 1 attempts, one posture of a batch makes a step into each open
-        voxel next to the batch.
+        In up to `retries` + 1 attempts, one posture of a batch steps into each open voxel beside
+        the batch.
         """
         found = self._reader.witnesses(sources)
         accepted = [self._accepted(found)]
@@ -304,8 +302,7 @@ class _Flood:
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
         """Postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m] from q.
 
-        Retries add random self-motion, which grows with each retry. Joints that would leave their
-        position limits do not move.
+        Retries add random self-motion. Joints that would leave their position limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -357,11 +354,11 @@ class Voxels:
     def __init__(
         self, lower: Array, upper: Array, *, reach: float, size: Array, sectors: int
     ) -> None:
-        """Create the grid up to the distance `reach` [m] from the box.
+        """Create the grid up to the distance `reach` [m] from the box with the corners `lower` and
+        `upper` (3,) [m], with voxels of the sides `size` (3,) [m] and equal `sectors` around the
+        base's centre.
 
-        `lower` and `upper` (3,) [m] are corners of the box, `size` (3,) [m] are the sides of a
-        voxel, and `sectors` is the number of equal sectors around the base's centre. This raises a
-        DescriptionError if the base is too large for int16 points.
+        Raises a DescriptionError if the base is too large for int16 points.
         """
         low, high = lower - reach, upper + reach
         if max(np.abs(low).max(), np.abs(high).max()) > dbb.POINT_RANGE:

@@ -128,10 +128,8 @@ class RadialProfile:
     """(K,) number of values in each shell."""
 
     def peak(self) -> int:
-        """Index of the shell with the largest mean, of those with at least 20 values.
-
-        If no shell has 20 values, the shells with the most values are compared. Raises a ValueError
-        if all shells are empty.
+        """Index of the shell with the largest mean, of those with at least 20 values or, if there
+        is none, of those with the most values; a ValueError if all shells are empty.
         """
         if not self.count.any():
             raise ValueError("there are no values")

@@ -124,10 +124,8 @@ def _folders(name: str) -> list[Path]:
 
 
 def resolve_package_uri(uri: str) -> Path:
-    """The file of `package://PACKAGE/PATH` in one of the `package_roots`.
-
-    An AssetError means that the address has a different form, the package is not installed or lacks
-    the file, or the path leads out of the package.
+    """The file of `package://PACKAGE/PATH` in one of the `package_roots`; an AssetError if there is
+    none, the address has a different form, or the path leads out of the package.
     """
     scheme, _, rest = uri.partition("://")
     package, _, inner = rest.partition("/")
@@ -147,19 +145,16 @@ def resolve_package_uri(uri: str) -> Path:
 
 
 def followed(path: Path) -> Path:
-    """A file's path without symbolic links, but a link to a file with another ending remains.
-
-    Readers select the format by the ending.
+    """A file's path without symbolic links, except for a link to a file with another ending:
+    readers select the format by the ending.
     """
     full = path.resolve()
     return full if full.suffix == path.suffix else path.parent.resolve() / path.name
 
 
 def package_roots(package: str) -> list[Path]:
-    """Folders of an installed package: those of the Python package, then those in `share_folders`.
-
-    The list is empty if the package is not installed. A folder in the current directory does not
-    count, unless `sys.path[1:]` has this directory.
+    """Folders of an installed package, empty if it is not installed: those of the Python package,
+    except in a current directory that is not in `sys.path[1:]`, then those in `share_folders`.
     """
     spec = None
     if package.isidentifier() and package != "__main__":  # which has no folder
@@ -209,10 +204,8 @@ _ZERO_INERTIAL = (
 
 
 def resolved_urdf(description: HasUrdf) -> str:
-    """The robot's URDF (`read_urdf`) with the absolute path of each mesh.
-
-    An AssetError also means that a mesh is missing, or that its relative path leads out of the
-    URDF's folder. Other errors: those of `read_urdf`.
+    """The robot's URDF (`read_urdf`) with the absolute path of each mesh; an AssetError also if a
+    mesh is missing, or if its relative path leads out of the URDF's folder.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
@@ -222,9 +215,8 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The robot's URDF with the `file://` address of each mesh, without shapes of missing meshes.
-
-    The errors are those of `read_urdf`.
+    """The URDF (`read_urdf`) with the `file://` address of each mesh, without shapes of missing
+    meshes.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link, shape in shapes_of(tree):
@@ -257,8 +249,8 @@ def shapes_of(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, Elem
 def read_urdf(description: HasUrdf) -> ElementTree.Element:
     """The robot's URDF; a link without an inertia gets mass and inertia 0 (pybullet assumes 1 kg).
 
-    An AssetError means that the file is missing, a DescriptionError that the file cannot be read,
-    is refused by `xml_text` or has more than 200 moving joints.
+    Raises an AssetError if the file is missing, and a DescriptionError if it cannot be read,
+    `xml_text` refuses it, or it has more than 200 moving joints.
     """
     path = urdf_path(description)
     try:

@@ -115,8 +115,8 @@ class LinePlace(Sourced):
 class RobotDescription(Strict):
     """All data of a robot that the method uses.
 
-    `bodies` are in the order of the kinematic chain; the mobile base l_m is first. Two neighbours
-    in this order are connected by a joint and are never a pair.
+    `bodies` are in the order of the kinematic chain, with the mobile base l_m first. Neighbours are
+    connected by a joint and never a pair.
     """
 
     name: Name
@@ -155,8 +155,8 @@ class RobotDescription(Strict):
             )
         for body in self.bodies:
             foreign = {link for other in self.bodies if other != body for link in other.covers}
-            unknown = body.nested.keys() - set(body.covers)
-            if unknown := unknown | set(chain(*body.nested.values())) - foreign:
+            others = set(chain(*body.nested.values())) - foreign
+            if unknown := (body.nested.keys() - set(body.covers)) | others:
                 raise ValueError(
                     f"bodies.{body.name}.nested: {', '.join(sorted(unknown))}: the keys must be "
                     "links that this body covers, the values links that other bodies cover"
@@ -229,10 +229,8 @@ def differential(description: RobotDescription) -> DifferentialBase:
 
 
 def load_description(path: Path) -> RobotDescription:
-    """Read and validate a description file.
-
-    If the file is not readable or not valid, this raises a DescriptionError that names the file,
-    the field and the valid values.
+    """Read and validate a description file; a DescriptionError names the file, and the invalid
+    field with its valid values.
     """
     try:
         return RobotDescription.model_validate(from_toml(file_text(path)))
@@ -252,9 +250,8 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by the name of its folder.
+    """The description of a robot by the name of its folder, which replaces `name` in the file.
 
-    A different `name` in the file is ignored: the folder can be a copy of another robot's folder.
     Errors: those of `check_robot_name` and `load_description`.
     """
     check_robot_name(name)

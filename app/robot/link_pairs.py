@@ -39,8 +39,9 @@ class ClosestPoints(NamedTuple):
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] point of the core of `b` that belongs to p_b: p_b moved along n by the radius of `b`
-    around its core. It equals p_b where `b` is not round, and in the results of `PairDistances`."""
+    """(3,) [m] point of the core of `b`: p_b moved along n by the radius of `b` around its core. It
+    is p_b where `b` is not round, and in the results of `PairDistances`.
+    """
     parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 
@@ -70,11 +71,11 @@ class LinkPairs:
 
 
 class PairDistances(ShapeDistances):
-    """Distances and closest points of some pairs, by the collision library.
+    """Distances and closest points of some pairs, by the collision library; `update` or
+    `update_from` for each configuration comes before the other methods, except for `sampled`.
 
-    Call `update` or `update_from` for each configuration, then the other methods; `sampled` needs
-    no earlier call. The distance of a body of several shapes is that of its nearest shape. `data`
-    is pinocchio's data of the last `update`.
+    The distance of a body of several shapes is that of its nearest shape. `data` is pinocchio's
+    data of the last `update`.
     """
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:

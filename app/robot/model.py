@@ -59,10 +59,9 @@ class RobotModel:
     def __init__(self, description: RobotDescription) -> None:
         """Compile a description.
 
-        Raises:
-            AssetError: The URDF is missing, or as for `ConvexMesh.hull`.
-            DescriptionError: pinocchio cannot read the URDF, a joint or link is missing or
-                unsuitable, a limit is invalid, or the ready position is outside of the limits.
+        Raises the errors of `ConvexMesh.hull`, and a DescriptionError if pinocchio cannot read the
+        URDF, a joint or link is missing or unsuitable, a limit is invalid, or the ready position is
+        outside of the limits.
         """
         self.description = description
         full = whole_model(description)
@@ -216,10 +215,10 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
 
 
 def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
-    """A decorator that caches the last `most` used results of a function of a model, by model.
+    """A decorator that caches the `most` results of a function that were used last, for each model.
 
-    Callers share a result and must not change it. The other arguments must be hashable. A result
-    must not refer to the model: otherwise neither of the two would ever be freed.
+    Callers share a result and must not change it. The other arguments must be hashable, and a
+    result must not refer to the model: otherwise neither of the two would ever be freed.
     """
 
     def keep(function: OfModel[Options, Result]) -> OfModel[Options, Result]:
@@ -238,10 +237,8 @@ def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Op
 
 
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
-    """[m] upper bound of the distance between the two ends of a chain of joints.
-
-    `links` are the poses of the chain's frames, each in the frame before it. `slides` (2, k) [m]
-    are the lower and upper limits of the prismatic joints.
+    """[m] upper bound of the distance between the ends of a chain of joints with the poses `links`,
+    each in the frame before it, and the limits `slides` (2, k) [m] of its prismatic joints.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())

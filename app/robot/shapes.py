@@ -116,11 +116,10 @@ class ConvexMesh(_Placed):
     """[-] factors of the mesh's coordinates, which are metres after the scaling."""
 
     def hull(self) -> trimesh.Trimesh:
-        """Read the file, and return the convex hull of its scaled vertices, in the shape's frame.
+        """The convex hull of the file's scaled vertices, in the shape's frame.
 
-        Raises:
-            AssetError: The file is missing, or reading exceeds the budget of `app.jobs.bounded`.
-            MissingExtraError: trimesh is not installed.
+        Raises an AssetError if the file is missing or reading exceeds the budget of
+        `app.jobs.bounded`, and a MissingExtraError if trimesh is not installed.
         """
         with extras_named():
             import trimesh  # slow, and possibly not installed
@@ -152,9 +151,8 @@ class Hull(_Placed):
 class Superquadric(_Placed):
     """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, or almost a box.
 
-    Its distances are those of a convex polytope of 3,458 vertices on its surface. They are too
-    large by less than 0.5 % of the longest semi-axis for exponents from 0.1 to 1, by less than 1 %
-    for exponents up to 2.
+    Its distances are those of a convex polytope of 3,458 vertices on its surface: too large by less
+    than 0.5 % of the longest semi-axis for exponents from 0.1 to 1, by less than 1 % up to 2.
     """
 
     type: Literal["superquadric"]
@@ -278,8 +276,8 @@ def polytope_vertices(
 ) -> Array:
     """(6 intervals² + 2, 3) [m] points of a superquadric's surface, in its frame; read-only.
 
-    Rays from the centre through a grid on a cube's faces meet the surface at these points. The grid
-    is denser towards the edges, where a small exponent bends the surface most.
+    Rays from the centre through a grid on a cube's faces, denser towards the edges, meet the
+    surface there.
     """
     s = np.sin(np.linspace(-0.5, 0.5, intervals + 1) * np.pi)
     u, v = (grid.ravel() for grid in np.meshgrid(s, s))

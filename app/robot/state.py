@@ -75,10 +75,9 @@ def velocities(name: str, values: Any, size: int) -> Array:
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
-    """The measurement with arrays of floats; missing velocities are NaN.
-
-    A MeasurementError means that the value is not a `Measurement`, a field has a wrong type or
-    number of values, a time is of single precision or not in seconds, or a stamp has no `now`.
+    """The measurement with arrays of floats and NaN for missing velocities, or a MeasurementError
+    if a field has a wrong type or number of values, a time is of single precision or not in
+    seconds, or a stamp has no `now`.
     """
     if not isinstance(measurement, Measurement):
         fields, kind = ", ".join(Measurement._fields), type(measurement).__name__
@@ -164,10 +163,10 @@ def _swept(v: _Vector, w: _Vector, p: _Vector) -> tuple[float, float, float]:
 
 @compiled()
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
-    """Twist of the body on each joint, at the origin of the world, and its derivative at q̈ = 0.
+    """Twists (2 + n_m, 6) of the bodies on all joints, at the origin of the world, and their
+    derivatives at q̈ = 0; the first row is the world's. v (3 + n_m,) is pinocchio's velocity.
 
-    Both are (2 + n_m, 6), by joint; the first row is the world's. v (3 + n_m,) is pinocchio's
-    velocity. The base's axes are fixed to the base, so that its twist is constant at q̈ = 0.
+    The base's axes are fixed to the base, so that its twist is constant at q̈ = 0.
     """
     joints = J.shape[1] - 1
     twists, biases = np.zeros((joints, 6)), np.zeros((joints, 6))
@@ -232,26 +231,15 @@ def _in_reduced(rows: Array, B: Array) -> Array:
     return found
 
 
-@compiled()
-def _gravity_terms(J: Array, Y: Array) -> Array:
-    """The gravity terms (3 + n_m,) of pinocchio's velocities; Y is `Y_pin`.
-
-    Term k is the weight of all bodies that the k-th velocity moves, times the vertical velocity of
-    their centre of mass at one unit of the k-th velocity.
-    """
-    g = np.empty(J.shape[1])
-    for k in range(len(g)):
-        moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
-        g[k] = _GRAVITY * moved[0] * _column(J, k, moved[1:])[2]
-    return g
-
-
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:,:], f8[:,:])")
 def reduced_dynamics(
     M: Array, h: Array, J: Array, Y: Array, B: Array
 ) -> tuple[Array, Array, Array]:
     """Sᵀ M S (n, n), Sᵀ h and Sᵀ g (n,), S = diag(B, 1); M, h, J, Y are from `pinocchio_views`."""
-    n_b, g = B.shape[1], _gravity_terms(J, Y)
+    n_b, g = B.shape[1], np.empty(len(h))
+    for k in range(len(h)):  # the weight that the k-th velocity moves, by the motion of its centre
+        moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
+        g[k] = _GRAVITY * moved[0] * _column(J, k, moved[1:])[2]
     n = n_b + len(h) - 3
     reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     reduced[n_b:, n_b:], h_r[n_b:], g_r[n_b:] = M[3:, 3:], h[3:], g[3:]
@@ -322,31 +310,22 @@ def distance_motions(
     return _in_reduced(rows, B), accelerations, speeds
 
 
-@compiled()
-def tip_motion(
-    J: Array, B: Array, twists: Array, biases: Array, p: Array
-) -> tuple[Array, Array, Array]:
-    """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) on the last body.
-
-    All have linear, then angular rows, in axes of the world.
-    """
-    J_p, twist, bias = J.copy(), twists[-1], biases[-1]
-    for k in range(J.shape[1]):
-        J_p[0, k], J_p[1, k], J_p[2, k] = _column(J, k, p)
-    v, Jdqd = twist.copy(), bias.copy()
-    v[0], v[1], v[2] = point_velocity(twist, p)
-    Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twist, bias, p)
-    return _in_reduced(J_p, B), v, Jdqd
-
-
 @compiled(
     "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:], f8[:])"
 )
-def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """`chain_motion`, and `tip_motion` of a frame at p (3,)."""
+def tip_motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """`chain_motion`, and Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of the last body at p (3,).
+
+    The last three have linear, then angular rows, in axes of the world.
+    """
     twists, biases = chain_motion(J, v)
-    J_p, v_p, Jdqd = tip_motion(J, B, twists, biases, p)
-    return twists, biases, J_p, v_p, Jdqd
+    J_p, twist, bias = J.copy(), twists[-1], biases[-1]
+    for k in range(J.shape[1]):
+        J_p[0, k], J_p[1, k], J_p[2, k] = _column(J, k, p)
+    v_p, Jdqd = twist.copy(), bias.copy()
+    v_p[0], v_p[1], v_p[2] = point_velocity(twist, p)
+    Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twist, bias, p)
+    return twists, biases, _in_reduced(J_p, B), v_p, Jdqd
 
 
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
@@ -392,8 +371,7 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
     """(k,) [m] a view of the signed distances in coal's results, which this call overwrites.
 
-    Reading the results one by one would take as long as computing them. Each result stores its
-    distance before its normal; all have the same size.
+    Reading the results one by one would take as long as computing them.
     """
     if len(results) == 0:
         return np.zeros(0)
@@ -408,10 +386,8 @@ def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
 
 @compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
 def put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
-
-    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
-    `order` at which each group begins, then m.
+    """Write the smallest value of each group of `values` (n,) into the array `into` (k,): group i
+    has the values with the indices `order[firsts[i]:firsts[i + 1]]`.
     """
     for k in range(len(into)):
         into[k] = values[order[firsts[k]]]
@@ -425,9 +401,8 @@ _write_least = direct(put_least)
 class ShapeDistances:
     """Present signed distances of groups of pairs of shapes, by the collision library.
 
-    Attributes:
-        signed: (k,) [m] `distance_view` of all pairs of shapes.
-        order, firsts: The groups, as in `put_least`.
+    `signed` is the `distance_view` of all pairs; `order` and `firsts` are the groups, as in
+    `put_least`.
     """
 
     def __init__(
@@ -568,7 +543,7 @@ class RobotState:
         """Update `twists`, `biases` and the end-effector's arrays for pinocchio's v (3 + n_m,)."""
         T_ee = pin.updateFramePlacement(self.pin, self.data, self.model.ee_frame)
         R_ee, p_ee = T_ee.rotation.copy(), T_ee.translation.copy()
-        twists, biases, J_ee, v_ee, Jdqd_ee = _motion(self._J, self._B, v, p_ee)
+        twists, biases, J_ee, v_ee, Jdqd_ee = tip_motion(self._J, self._B, v, p_ee)
         self._store(R_ee=R_ee, p_ee=p_ee, J_ee=J_ee, v_ee=v_ee, Jdqd_ee=Jdqd_ee)
         self._store(twists=twists, biases=biases)
 

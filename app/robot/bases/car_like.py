@@ -177,9 +177,9 @@ class CarLikeBase(BaseKind):
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω).
 
-        The speed is the speed along the present arc that is nearest to the command in the metric of
-        kinetic energy. It is 0 if it would oppose the command, and smaller if the present arc and
-        the command's arc bend to opposite sides.
+        The speed along the present arc is that nearest to the command, in the metric of kinetic
+        energy, but 0 if it would oppose the command, and smaller if the command's arc bends to the
+        other side.
         """
         top = self.max_linear_velocity_mps
         wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max

@@ -34,8 +34,6 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
 class DifferentialBase(TurningBase):
     """The differentially driven base: r, b, m, I of the paper, its limits and its drive.
 
-    It cannot move sideways: its twist has no v_y.
-
     Paper: Eq. (4).
     """
 

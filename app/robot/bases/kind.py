@@ -193,8 +193,6 @@ class BaseKind(Sourced, ABC):
     def A_b(self) -> Array:
         """(n_b, 3) map from (f_x, f_y, τ_z) [N, N, N m] on the base, in its frame, to ẍ_m.
 
-        The equation of each axis is m v̇ = f or I ω̇ = τ, without the limits of `admissible`.
-
         Paper: Eq. (17), (18).
         """
         return self.T.T / (self.mass_kg, self.mass_kg, self.inertia_kgm2)
