@@ -77,10 +77,8 @@ def _rare_collections() -> Iterator[None]:
 
 
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
-    """Let compiled callers include the function instead of linking its machine code.
-
-    Otherwise numba would optimise and compile the function, link the result into a caller, and then
-    optimise and compile both again: in a chain of ten calls, the last function ten times.
+    """Let compiled callers include the function instead of linking its machine code: otherwise
+    numba would compile the last function of a chain of ten calls ten times.
     """
     part = as_part(kernel.py_func)
 

@@ -22,9 +22,7 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     """Name and digest of each file on which a compiled kernel depends: its file, those of the
     compiled functions that it calls by name, and those that compile kernels and lay out structs.
-
-    The kernel's constants must be in one of them. A digest, unlike a time, does not change if an
-    installation is copied. An unreadable file raises an OSError.
+    The kernel's constants must be in one of them. An unreadable file raises an OSError.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
@@ -85,10 +83,7 @@ class _Index(caching.IndexDataCacheFile):
 
 
 class KernelStore(caching.FunctionCache):
-    """The stored kernels of a function: read from any of `_folders`, written to a writable one.
-
-    Thus a user without write access can use the kernels that another user has compiled.
-    """
+    """The stored kernels of a function: read from any of `_folders`, written to a writable one."""
 
     _impl_class = _Described
 

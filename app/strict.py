@@ -245,10 +245,7 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """Name of the placeholder in a file's place, such as a Git LFS pointer, with advice; or empty.
-
-    `content` are the first 1024 bytes of the file, or more.
-    """
+    """Name of the placeholder in a file's place, with advice, by its first 1024 bytes; or empty."""
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
     return next(found, "")
@@ -292,10 +289,7 @@ def _slip(text: str) -> str:
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Raise a ConfigError, which names option and range, if a number is outside [low, high] or NaN.
-
-    All three numbers are in the same unit.
-    """
+    """Raise a ConfigError with option and range if a number is outside [low, high] or NaN."""
     if not low <= value <= high:
         number, lowest, highest = (
             n if isinstance(n, int) else f"{n:g}" for n in (value, low, high)

@@ -1,9 +1,8 @@
 """Structs of arrays and numbers that Python and compiled code share.
 
-A struct as an argument of a compiled function takes 0.01 µs per call; a tuple of arrays takes
-0.1 µs for each array. Both sides share the memory of the arrays: Python reads, without a copy, the
-values that compiled code writes. The numbers of a struct, and the arrays to which its fields refer,
-are fixed at its creation.
+A struct as an argument of a compiled function takes 0.01 µs per call; a tuple of arrays takes 0.1
+µs for each array. Both sides share the memory of the arrays. The numbers of a struct, and the
+arrays to which its fields refer, are fixed at its creation.
 """
 
 import struct
@@ -76,8 +75,8 @@ class StructType(NamedTuple):
         """Make a struct from a named tuple; with ``NUMBA_DISABLE_JIT=1`` return the tuple itself.
 
         The values of the tuple have the order of `fields`. The struct owns a reference to the
-        tuple, and its arrays are views of the tuple's arrays. Therefore compiled code does not
-        count references to arrays: counting would take a fifth of a control step.
+        tuple, and its arrays are views of the tuple's arrays: compiled code does not count
+        references to them.
         """
         if config.DISABLE_JIT:
             return values
@@ -91,10 +90,8 @@ class StructType(NamedTuple):
         return handle
 
     def _packed(self, values: Any) -> bytes:
-        """The bytes of the struct: each number unchanged, each array in numba's form.
-
-        numba's form of an array consists of owner and parent (both 0), number of entries, bytes of
-        an entry, address, shape and strides.
+        """The bytes of the struct: each number unchanged, each array as owner and parent (both 0),
+        number of entries, bytes of an entry, address, shape and strides.
         """
         layout, content = "", list[Any]()
         for value, kind in zip(values, self.fields.values(), strict=True):

@@ -44,9 +44,8 @@ def usable_cores() -> int:
 def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    On three or more cores, the process also gets a real-time policy if possible, which it leaves
-    after working for 0.5 s without a pause. If it cannot leave, the system ends it after 30 s. Call
-    this function in the main thread, before other threads start.
+    On three or more cores, the process also gets a real-time policy if possible, until it works for
+    0.5 s without a pause. Call this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -133,9 +132,8 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End all processes of a group, if it has any; with `at_once`, they cannot clean up.
-
-    `leader` is the number of the process that leads the group; 0 is the group of this process.
+    """End all processes of the group with the number `leader`, 0 for the group of this process;
+    with `at_once`, they cannot clean up.
     """
     # The group has no process; macOS raises the second error if all its processes have ended.
     with suppress(ProcessLookupError, PermissionError):
@@ -143,10 +141,7 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock an open file or folder until it is closed, and return True.
-
-    Otherwise return False if another process has the lock, None if the file system has no locks.
-    """
+    """Lock an open file or folder until closed; False if another has it, None without locks."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -203,9 +198,8 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The descriptor that locks a folder; None if another has the folder or has replaced it.
-
-    If the file system has no locks, the descriptor locks nothing; with `surely` it is None.
+    """The descriptor that locks a folder; None if another has the folder or has replaced it. In a
+    file system without locks, it locks nothing; with `surely` it is None.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -327,10 +321,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def return_freed_memory_early() -> None:
-    """Make glibc return freed memory to the system early; other C libraries do this anyway.
-
-    From then on, each block above 128 KiB is mapped on its own, and all threads share one heap.
-    """
+    """Make glibc return freed memory to the system early; other C libraries do this anyway."""
     _call_c("mallopt", -3, 2**17)  # M_MMAP_THRESHOLD [bytes]
     _call_c("mallopt", -8, 1)  # M_ARENA_MAX
 
@@ -355,8 +346,7 @@ def home_expanded(path: str) -> Path:
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
     """This user's cache folders: the standard one, if the user has a home, then one in the folder
-    for temporary files, if it can be used; with `make`, it is created when the iteration arrives
-    there.
+    for temporary files, which `make` creates, if it can be used.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -384,11 +374,11 @@ def _private_folder(shared: Path, *, make: bool = True) -> Path:
 
 
 def open_standard_files() -> None:
-    """Open standard input, output and error as null devices if the parent process closed them.
+    """Open standard input, output and error as null devices if the parent process closed them;
+    otherwise the next file, pipe or socket would receive printed text.
 
-    Otherwise the next file, pipe or socket would receive printed text. Text for a closed standard
-    output raises an OSError, because a result would be lost. Codes replace the characters that the
-    encoding of standard output lacks.
+    Text for a closed standard output raises an OSError. Codes replace characters that its encoding
+    lacks.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number
@@ -399,9 +389,8 @@ def open_standard_files() -> None:
 
 
 def set_missing_folders() -> None:
-    """Set a writable temporary folder and a home for this program and its children, if missing.
-
-    In a container, often only /dev/shm is writable; browsers need a home to start.
+    """Set a writable temporary folder, and a home for browsers, if missing in this environment;
+    often only /dev/shm is writable in a container.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
@@ -416,10 +405,7 @@ def set_missing_folders() -> None:
 
 @contextmanager
 def decimal_points() -> Iterator[None]:
-    """Make C libraries read numbers with decimal points in this thread, during the `with`.
-
-    GUI libraries can set a locale of decimal commas; C libraries would then read 0.5 as 0.
-    """
+    """Make C libraries of this thread read decimal points, also if a GUI has set decimal commas."""
     library = _c_library()
     if library is None or not hasattr(library, "uselocale"):
         yield

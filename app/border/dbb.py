@@ -1,7 +1,4 @@
-"""Algorithm 1: P_i, and the border DBB_i, which is a subset of P_i.
-
-P_i are sampled closest points on a body of the arm, around the mobile base l_m.
-"""
+"""Algorithm 1: P_i, closest points sampled around the mobile base l_m, and its subset DBB_i."""
 
 from dataclasses import dataclass
 

@@ -33,9 +33,8 @@ class ConvexPart(NamedTuple):
 
 
 class MobileBody:
-    """l_m, a union of convex `parts`; `lower`, `upper` (3,) [m] are corners of a box around l_m.
-
-    The box is along the axes of the base's frame.
+    """l_m, a union of convex `parts`; `lower`, `upper` (3,) [m] are corners of their common
+    `bounds`.
     """
 
     def __init__(self, model: RobotModel) -> None:
@@ -162,11 +161,7 @@ _Signed = tuple[float, float, float, float]
 
 @compiled()
 def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Distance of the point (x, y, z) [m] to a hull; inside the hull, to the nearest plane.
-
-    Outside, the search starts with a point of the hull. Only the few triangles with a corner beyond
-    the plane through this point, perpendicular to the line to (x, y, z), can be nearer.
-    """
+    """Distance of the point (x, y, z) [m] to a hull; inside the hull, to the nearest plane."""
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
         over = _over(triangles[k], x, y, z)
@@ -178,6 +173,7 @@ def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
     u, v, w = _on_triangle(triangles[face], x, y, z, deepest)
     p, q, r = x - u, y - v, z - w
     level, square = p * u + q * v + r * w, p * p + q * q + r * r
+    # Only the few triangles with a corner beyond the plane through (u, v, w) can be nearer.
     for k in range(len(triangles)):
         if _reach(triangles[k], p, q, r) <= level:
             continue
@@ -225,10 +221,7 @@ def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: f
 
 @compiled()
 def nearest_of(shapes: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Signed distance [m] of the point (x, y, z) [m] to the nearest shape, and its gradient (3).
-
-    `shapes` (P, 16) are the rows of a record `Shapes`, `triangles` (T, 4, 3) its triangles.
-    """
+    """Signed distance [m] of (x, y, z) [m] to the nearest of `Shapes`, and its gradient (3)."""
     best = (np.inf, 0.0, 0.0, 0.0)
     for k in range(len(shapes)):
         R, a, b, c = shapes[k, 4:13], x - shapes[k, 13], y - shapes[k, 14], z - shapes[k, 15]

@@ -1,9 +1,8 @@
 """The border point nearest to a query point: p_n of Algorithm 3.
 
 The border is a surface, the exact offset of l_m, or consists of points as in the paper, which are
-within ε of the surface. The surface is closed, so it also covers regions that the arm never
-reaches. The arm's closest point is never there, and near such regions the reachability in the score
-leads away from them.
+within ε of the surface. The surface also covers regions that the arm never reaches: its closest
+point is never there, and the reachability in the score leads away from them.
 
 At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
 closed polygon. The parts of all rings outside of the other shapes' offsets form the contour: one
@@ -156,12 +155,10 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """Search the corners of the contour for a point that is nearer to p than `best`.
-
-    At a corner the visible part of one ring ends, and that of another begins. The two ends differ
-    by the interpolation error; the segment between them belongs to the contour. At a corner the
-    tangent is perpendicular to the line to p.
+    """Search the corners of the contour, where one ring's visible part ends and another's begins,
+    for a point nearer to p than `best`; its tangent is perpendicular to the line to p.
     """
+    # The two ends differ by the interpolation error; the contour includes the segment between them.
     met = np.zeros(len(corners), np.bool_)
     for at, t, begins in corners:
         if begins:
@@ -197,9 +194,8 @@ def _dot(a: complex, b: complex) -> float:
 
 @compiled()
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
-    """The fraction along an edge at which the line to p is perpendicular to the tangent.
-
-    `to_p` leads from the edge's start to p. The tangent is interpolated from t to t_next.
+    """The fraction along an edge at which the line to p is perpendicular to the tangent, which is
+    interpolated from t to t_next; `to_p` leads from the edge's start to p.
     """
     # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
     a = -_dot(edge, t_next - t)
@@ -232,12 +228,12 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
 
 @compiled()
 def nearest_offset(border: Any, at: Array) -> Array:
-    """(2, 3) the point [m] on the contour of a `BORDER` nearest to `at` (3,) [m], and the tangent.
+    """(2, 3) the point [m] on the contour of a `BORDER` nearest to `at` (3,) [m], and the tangent,
+    a horizontal unit vector with l_m on its left; x and y of both are NaN if there are no contours.
 
-    The tangent is a horizontal unit vector with l_m on its left. Without a contour at the height of
-    `at`, the contour nearest in height is moved to this height. Blocks of edges are searched in the
-    order of their distance, until the next block is farther than the nearest point, so the cost
-    hardly grows with the number of shapes. If there are no contours, x and y of both are NaN.
+    Without a contour at the height of `at`, the contour nearest in height is moved to this height.
+    Blocks of edges are searched in the order of their distance, until the next block is farther
+    than the nearest point.
     """
     firsts, heights, vertices = border.firsts, border.heights, border.vertices
     tangents, shown, spans = border.tangents, border.shown, border.spans

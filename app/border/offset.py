@@ -1,7 +1,4 @@
-"""The border as a surface: the exact offset of the base, {p : distance to l_m = d_b}.
-
-All heights and positions are in the base's frame.
-"""
+"""The border as a surface in the base's frame: the exact offset {p : distance to l_m = d_b}."""
 
 from __future__ import annotations
 
@@ -33,10 +30,7 @@ heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equa
 
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for a buffer distance d_b [m]; cached for each model.
-
-    The shapes of l_m are in the order of decreasing horizontal size.
-    """
+    """The contours for d_b [m], with l_m's shapes by decreasing size; cached for each model."""
     parts = MobileBody(model).parts
     parts.sort(key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
     traced = [(part, rings) for part in parts if len((rings := _trace_rings(part, d_b))[0])]
@@ -86,10 +80,8 @@ def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
 
 
 def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
-    """Trace the part above the floor of a convex shape's offset at the distance d_b [m].
-
-    Rays start at the centre of the shape. If a slice of the offset does not contain this centre,
-    for example for a slanted shape, the rays at each height start at the centre of the slice.
+    """Trace the part above the floor of a convex shape's offset at the distance d_b [m], by rays
+    from the shape's centre or, if a slice does not contain it, from the centre of each slice.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b).tolist()
@@ -102,10 +94,9 @@ def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
 
 
 class _Tracer:
-    """Follows rays to the boundary of one shape's offset, height by height.
+    """Follows rays to the boundary of one shape's offset, at each height [m] with a slice of it.
 
-    The results have, for each height with a slice of the offset, the height [m], the start (2,) [m]
-    of the rays and their lengths (RAYS,) [m].
+    A result is the height, the start (2,) [m] of the rays and their lengths (RAYS,) [m].
     """
 
     def __init__(self, part: ConvexPart, d_b: float) -> None:
@@ -138,34 +129,29 @@ class _Tracer:
         return found
 
     def _inside(self, centre: Array, z: float) -> Array | None:
-        """A point (2,) [m] inside the slice at height z [m], or None if the slice is empty.
-
-        Rays from outside of the convex slice end at its far side; the mean of these ends is inside.
-        """
+        """A point (2,) [m] inside the convex slice at height z [m]; None if it is empty."""
         d, n_x, n_y, _ = self._part.shapes.distances_and_normals(np.array([[*centre, z]]))[0]
         for start in (centre, centre - d * np.array([n_x, n_y]), self._middle):
             ends = self._ends(start, z)
             hits = np.isfinite(ends)
             if hits.all():
                 return start
-            if hits.any():
+            if hits.any():  # the mean of the far side's ends
                 inside = (start + ends[hits, None] * _RAYS[hits, :2]).mean(axis=0)
                 if np.isfinite(self._ends(inside, z)).all():
                     return inside
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | float = -np.inf) -> Array:
-        """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z; −inf without a hit.
-
-        The finite numbers of `start` are the initial estimates; the others begin beyond the offset.
-        The distance to a convex shape is a convex function along a ray. From a start at which the
-        distance increases, the first Newton step ends at the outer root or beyond, and the next
-        steps approach the root from outside.
+        """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z; −inf without a hit. The
+        finite numbers of `start` are the initial estimates.
         """
         part, origin, ends = self._part, np.array([*centre, z]), np.full(RAYS, -np.inf)
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))
         s, left = np.where(np.isfinite(start), start, np.full(RAYS, beyond)), np.arange(RAYS)
+        # The distance to a convex shape is convex along a ray: where it increases, the first step
+        # ends at the outer root or beyond, and the next steps approach the root from outside.
         for _ in range(_MAX_NEWTON):
             found = part.shapes.distances_and_normals(origin + s[left, None] * _RAYS[left])
             off, slope = found[:, 0] - self._d_b, (found[:, 1:] * _RAYS[left]).sum(axis=1)

@@ -79,9 +79,8 @@ def sample_clouds(
     limits, and its distance must be in the sampled range; collisions of other pairs are allowed.
 
     `progress` displays a progress bar on standard error. `on_progress` is called with the share of
-    the work that is done, 0 to 1. `processes` is the number of parallel processes, by default one
-    for each usable core; it has no effect on the result. This raises a DescriptionError if the base
-    is too large for the stored points.
+    the work that is done. `processes` is the number of parallel processes, by default one for each
+    usable core. Raises a DescriptionError if the base is too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
     children = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -117,8 +116,8 @@ def _flood_jobs(
     found: Mapping[Pair, Kept],
     kept: Mapping[Pair, Kept],
 ) -> list[SectorJob]:
-    """A job for each sector and pair with an open voxel at or next to a posture of `found`; if a
-    former flood has found `kept`, without the sector's own postures.
+    """A job for each sector and pair with an open voxel at or next to a posture of `found`; after
+    the first flood, which fills `kept`, postures of the sector itself do not count.
     """
     jobs = []
     for pair, seed in seeds.items():
@@ -226,10 +225,7 @@ class PairReader:
         return found
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
-        """(N, 3, n_m) Jacobians of points fixed to the body, at p_b (N, 3) [m] in postures q_m.
-
-        The closest point also moves on the body, so these Jacobians only approximate its motion.
-        """
+        """(N, 3, n_m) Jacobians of points p_b (N, 3) [m] on the body in postures q_m."""
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
         J, origin = np.empty((len(q_m), 6, model.nv)), np.empty((len(q_m), 3))
         for i, posture in enumerate(q_m):
@@ -300,9 +296,8 @@ class _Flood:
         return self._reader.witnesses(tried)
 
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
-        """Postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m] from q.
-
-        Retries add random self-motion. Joints that would leave their position limits do not move.
+        """Postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m] from q, with
+        random self-motion in retries; joints that would leave their limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -313,9 +308,8 @@ class _Flood:
 
 
 def _damped(J: Array, step: Array, free: Array) -> Array:
-    """The damped least-squares joint steps (N, n_m), ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ).
-
-    s = `step` (N, 3) [m] is the desired step of a point, ξ = `free` (N, n_m), λ = `_DAMPING`.
+    """Damped least-squares joint steps (N, n_m), ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ), for the steps s
+    = `step` (N, 3) [m] of a point, with ξ = `free` (N, n_m) and λ = `_DAMPING`.
     """
     J_T = J.transpose(0, 2, 1)
     missing = step[:, :, None] - J @ free[:, :, None]

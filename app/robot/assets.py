@@ -215,9 +215,7 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The URDF (`read_urdf`) with the `file://` address of each mesh, without shapes of missing
-    meshes.
-    """
+    """The URDF (`read_urdf`) with `file://` addresses of its meshes, without missing ones."""
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link, shape in shapes_of(tree):
         if (mesh := shape.find("geometry/mesh")) is not None:
@@ -380,10 +378,7 @@ def _mesh(reference: str, folder: Path) -> Path:
 
 
 def planar_urdf(description: HasUrdf) -> str:
-    """The `resolved_urdf` on a root with two prismatic joints (x, y) and a revolute one (yaw).
-
-    It is for pybullet, which has no planar joint. The errors are those of `resolved_urdf`.
-    """
+    """The `resolved_urdf` on a root with two prismatic joints (x, y) and a revolute one (yaw)."""
     text = resolved_urdf(description)
     parts = [f'<link name="{name}">{_ZERO_INERTIAL}</link>' for name in PLANAR_LINKS]
     ends = pairwise((*PLANAR_LINKS, root_link(text)))

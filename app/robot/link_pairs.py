@@ -39,8 +39,8 @@ class ClosestPoints(NamedTuple):
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] point of the core of `b`: p_b moved along n by the radius of `b` around its core. It
-    is p_b where `b` is not round, and in the results of `PairDistances`.
+    """(3,) [m] p_b, moved along n by the radius of `b` around its core where `b` is round. In the
+    results of `PairDistances`, it is p_b.
     """
     parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
@@ -133,9 +133,8 @@ def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
 
 
 def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:
-    """All monitored pairs of bodies that are not neighbours in the chain, in the order of (1).
-
-    They are sorted by `a`, from the base outwards, then by `b`, from the end-effector inwards.
+    """All monitored pairs of bodies that are not neighbours in the chain, in the order of (1): by
+    `a`, from the base outwards, then by `b`, from the end-effector inwards.
     """
     names = model.body_names
     pairs = (Pair(a, b) for i, a in enumerate(names) for b in names[: i + 1 : -1])

@@ -253,10 +253,7 @@ def whole_model(description: RobotDescription) -> pin.Model:
 
 
 def configured(whole: pin.Model, positions: Mapping[str, float]) -> Array:
-    """The configuration of a model with some joints at positions [rad or m], the others at zero.
-
-    pinocchio represents a continuous joint, such as a wheel, as a point on the unit circle.
-    """
+    """The configuration of a model with some joints at positions [rad or m], the others at zero."""
     moved = np.zeros(whole.nv)
     for name, position in positions.items():
         moved[whole.joints[whole.getJointId(name)].idx_v] = position

@@ -249,10 +249,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 
 
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """(…) [-] f of this module at points p (…, 3) [m] in a superquadric's frame; 1 on its surface.
-
-    `semi_axes` are a, b and c [m]; e1 and e2 are the exponents.
-    """
+    """(…) [-] f of this module at p (…, 3) [m] in the shape's frame; `semi_axes` are in m."""
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
     return _power_sum(_power_sum(x, y, e2 / 2), z, e1 / 2) ** (2 / e1)
 

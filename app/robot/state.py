@@ -1,12 +1,11 @@
 """The robot's present state, computed once per step: kinematics and dynamics.
 
-The kernels use pinocchio's Jacobian of a serial chain on a planar base. Column k of `J`
-(6, 3 + n_m) is the twist that one unit of the k-th velocity gives to all bodies that this velocity
-moves. The first three rows are linear, at the origin of the world, and the last three are angular.
-Joint 1 is the planar base with the columns 0 to 2, and each joint moves all later joints. Thus a
-body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced velocities q̇_b of
-the base to its twist (v_x, v_y, ω_z). S and `J_m_inv` are those of `RobotModel`. Points p (3,) [m]
-are in the world.
+The kernels use pinocchio's Jacobian `J` (6, 3 + n_m) of a serial chain on a planar base. Column k
+is the twist that one unit of the k-th velocity gives to all bodies that this velocity moves:
+linear, at the origin of the world, then angular. Joint 1 is the planar base with the columns 0 to
+2, and a body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced velocities
+q̇_b of the base to its twist (v_x, v_y, ω_z). S and `J_m_inv` are those of `RobotModel`. Points p
+(3,) [m] are in the world.
 """
 
 import math
@@ -358,10 +357,7 @@ def _before(vector: Array, count: int, size: int) -> Array:
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Data for distances that depend on the poses of the bodies alone, not on former calls.
-
-    With pinocchio's own requests, each search would start at the result of the last search.
-    """
+    """Data for distances by the present poses alone: searches do not start at former results."""
     data = pin.GeometryData(geometry)
     for k in range(len(data.distanceRequests)):
         data.distanceRequests[k] = coal.DistanceRequest()
@@ -489,26 +485,23 @@ class RobotState:
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
-        """From the next update on, multiply the arm's masses and inertias by a factor [-].
-
-        Links that are fixed to the base, such as the arm's first link, do not change.
+        """From the next update on, multiply the arm's masses and inertias by a factor [-], without
+        those of links that are fixed to the base.
         """
         self._factor = factor
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """From the next update on, the end-effector carries only a point mass `mass` [kg].
-
-        `centre` (3,) [m] is its place in the end-effector's frame.
+        """From the next update on, the end-effector carries only a point mass `mass` [kg], at
+        `centre` (3,) [m] in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
         self._compile()
 
     def _compile(self) -> None:
-        """Make a separate pinocchio model if masses or inertias differ from those of the model.
-
-        A step in another thread uses the former model until the new one is complete.
+        """Make a separate model for other inertias; another thread uses the former one until it is
+        complete.
         """
         made, factor = self.model.pin, self._factor
         if factor != 1.0 or self._load.mass > 0.0:

@@ -68,9 +68,8 @@ def without_commas(words: str) -> str:
 
 
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
-    """`rgba` of a visual's material or, without a colour, of its namesake in `materials`.
-
-    None if both lack a colour, or the visual has no material.
+    """`rgba` of a visual's material or, without a colour, of its namesake in `materials`; None if
+    both lack a colour, or the visual has no material.
     """
     if (material := visual.find("material")) is None:
         return None
@@ -97,11 +96,11 @@ def mesh_path(address: str) -> Path:
 
 
 def mesh_bytes(links: Iterable[Element]) -> int:
-    """[bytes] size of all mesh files of links, with the `.bin` files beside a `.gltf`, for
-    `within_budget`.
+    """[bytes] size of all mesh files of links, with the `.bin` files beside a `.gltf`; 0 without a
+    file.
 
-    It is 0 without an existing file, and at least `SMALL` + 1 with one: a few bytes can encode
-    millions of triangles. Errors: those of `resolve_package_uri`.
+    It is at least `SMALL` + 1 with a file: a few bytes can encode millions of triangles. Errors:
+    those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}

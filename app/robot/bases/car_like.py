@@ -55,12 +55,12 @@ def nearest_in_cone(
 
 
 class CarLikeBase(BaseKind):
-    """An Ackermann base.
+    """An Ackermann base: ν = (v, ω) is the motion of the rear axle's middle, q̇_b = (w_x, w_y)
+    [m/s] that of the front axle's middle.
 
-    ν = (v, ω) is the motion of the rear axle's middle, q̇_b = (w_x, w_y) [m/s] that of the front
-    axle's middle. The measure in (10) is sign(x) (2 κ_max x)²: the velocities of a point on the two
-    tightest arcs, at unit speed, span the area 2 κ_max |x|. The measure is 0 on the rear axle line,
-    where all arcs move a point in the same direction, positive ahead of the line, negative behind.
+    The measure in (10) is sign(x) (2 κ_max x)²: the velocities of a point on the two tightest arcs,
+    at unit speed, span the area 2 κ_max |x|. It is 0 on the rear axle line, where all arcs move a
+    point in the same direction.
 
     The drive has a speed v and a steering angle δ. δ approaches the angle of the command's arc, and
     v approaches the speed that is nearest to the command along the arc of the present δ.
@@ -175,11 +175,9 @@ class CarLikeBase(BaseKind):
     def _goal(
         self, speed: float, angle: float, v_cmd: Sequence[float] | Array
     ) -> tuple[float, float]:
-        """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω).
-
-        The speed along the present arc is that nearest to the command, in the metric of kinetic
-        energy, but 0 if it would oppose the command, and smaller if the command's arc bends to the
-        other side.
+        """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω). The
+        speed is the nearest one along the present arc, less if the command's arc bends to the other
+        side, and 0 if it would oppose the command.
         """
         top = self.max_linear_velocity_mps
         wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max

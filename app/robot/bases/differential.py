@@ -9,12 +9,10 @@ from app.strict import Array, Positive
 
 
 def mobile_jacobian(r: float, b: float) -> Array:
-    """(2, 2) J_m of the differential base, rows in m/rad and 1: (v, ω) = J_m (θ̇_r, θ̇_l).
+    """(2, 2) J_m of the differential base, rows in m/rad and 1: (v, ω) = J_m (θ̇_r, θ̇_l), from the
+    wheels' radius r [m] and half the track width b [m].
 
-    r [m] is the radius of the wheels, b [m] half of the track width.
-
-    Paper: Eq. (19), with r/2 instead of −r/2 in the second column: the printed matrix has rank 1
-    and contradicts (6).
+    Paper: Eq. (19), with r/2 instead of −r/2 in the second column: the printed matrix has rank 1.
     """
     return np.array([[r / 2, r / 2], [r / (2 * b), -r / (2 * b)]])
 
