@@ -95,8 +95,7 @@ def kept_border_data(
     """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is valid too. A warning names each file that is damaged or has another key in its header.
-    Errors: those of `border_key`.
+    key is valid too. Errors: those of `border_key`.
     """
     key = border_key(model.description, sampling or SamplingConfig())
     folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}

@@ -67,10 +67,7 @@ class OffsetContours(NamedTuple):
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """The contour as curves (K, 3) [m], drawn at height z [m].
-
-        If there is no contour at z, the curves have the shape of the contour nearest in height.
-        """
+        """The contour at z [m], or that nearest in height drawn at z, as curves (K, 3) [m]."""
         at = level(self.firsts, self.heights, z)
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
 

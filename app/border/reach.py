@@ -64,9 +64,8 @@ class Chain:
         self.free = len(joints) - self.coordinates
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
-        """The body's pose T_base_point at joint positions q (k,), and its Jacobian (6, k).
-
-        The Jacobian is in the axes of the body's frame: three linear, then three angular rows.
+        """The body's pose T_base_point at q (k,), and its Jacobian (6, k) in its axes, linear
+        first.
         """
         J = pin.computeJointJacobians(self.pin, self._data, q)
         at = self._data.oMi[len(self.joints)] * self._placement

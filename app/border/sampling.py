@@ -124,10 +124,10 @@ def _flood_jobs(
         taken, given = voxels.keys(voxels.cells(kept[pair].points)), found[pair]
         free = np.ones(voxels.count, dtype=bool)
         free[taken] = False
-        sectors = voxels.leads_to(given.points, free)
+        around = voxels.keys(voxels.cells(given.points)[:, None, :] + _AROUND)
+        sectors = np.where((around >= 0) & free[around], voxels.sectors(around), -1)
         if len(taken):  # a sector has already used its own postures
-            home = voxels.sectors(voxels.keys(voxels.cells(given.points)))
-            sectors[sectors == home[:, None]] = -1
+            sectors[sectors == voxels.sectors(around[:, :1])] = -1
         owner = voxels.sectors(taken)
         for sector, child in enumerate(seed.spawn(voxels.sector_count)):
             leads = (sectors == sector).any(axis=1)
@@ -393,8 +393,3 @@ class Voxels:
     def sectors(self, keys: Array) -> Array:
         """(…) sector of the voxels with the indices `keys` (…)."""
         return self._sectors[keys % len(self._sectors)]
-
-    def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 if outside or not free."""
-        keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
-        return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

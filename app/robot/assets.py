@@ -1,7 +1,4 @@
-"""Files of robots: their folders, URDFs and meshes, packages with meshes, the folder of borders.
-
-A file of an installed package has the address `package://PACKAGE/PATH`.
-"""
+"""Files of robots: folders, URDFs, meshes, packages with meshes, and the folder of borders."""
 
 import codecs
 import importlib.util

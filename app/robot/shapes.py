@@ -271,11 +271,8 @@ def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, floa
 def polytope_vertices(
     semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
 ) -> Array:
-    """(6 intervals² + 2, 3) [m] points of a superquadric's surface, in its frame; read-only.
-
-    Rays from the centre through a grid on a cube's faces, denser towards the edges, meet the
-    surface there.
-    """
+    """(6 intervals² + 2, 3) [m] points of a superquadric's surface, in its frame; read-only."""
+    # Rays through a grid on a cube's faces; it is denser towards the edges, where a surface bends.
     s = np.sin(np.linspace(-0.5, 0.5, intervals + 1) * np.pi)
     u, v = (grid.ravel() for grid in np.meshgrid(s, s))
     ones = np.ones_like(u)
