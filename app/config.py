@@ -30,17 +30,14 @@ def number(default: float, low: float, high: float, label: str = "", **extra: bo
 class Parameter(NamedTuple):
     """A tunable parameter: a number with a range, or a choice among words."""
 
-    path: str
-    """Section and name, such as `border.d_b`."""
+    path: str  # section and name, such as `border.d_b`
     default: Any
     help: str
-    label: str
-    """Displayed name, followed by the symbol if there is one, without the unit."""
+    label: str  # displayed name, followed by the symbol if there is one, without the unit
     unit: str  # `-` for a number without a unit, and for a choice
     low: float = math.nan  # NaN for a choice
     high: float = math.nan
-    choices: tuple[str, ...] = ()
-    """The words; empty for a number."""
+    choices: tuple[str, ...] = ()  # the words; empty for a number
     advanced: bool = False
     """Whether the dashboard hides the parameter until the user displays all parameters."""
     source: str = ""
@@ -67,11 +64,9 @@ class Parameter(NamedTuple):
 class Section(NamedTuple):
     """Parameters that belong together."""
 
-    name: str
-    """Name in paths, such as `border`."""
+    name: str  # name in paths, such as `border`
     title: str
-    about: str
-    """Description in one sentence."""
+    about: str  # description in one sentence
     tunables: tuple[Parameter, ...]
 
 

@@ -21,11 +21,9 @@ _HOST = re.compile(r"[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?")
 class NamedConfig(NamedTuple):
     """The content of a configuration file."""
 
-    name: str
-    """Name of the configuration in the file, empty if there is none."""
+    name: str  # name of the configuration in the file, empty if there is none
     config: Config
-    hosts: tuple[str, ...] = ()
-    """Names in `[server] allow_host`, which only `dbb serve` uses."""
+    hosts: tuple[str, ...] = ()  # names in `[server] allow_host`, which only `dbb serve` uses
 
 
 def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> str:

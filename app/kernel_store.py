@@ -55,15 +55,8 @@ def _folders(file: str, *, make: bool) -> Iterator[Path]:
 class _Locator(caching.InTreeCacheLocator):
     """A kernel's source, described for numba, whose own locators refuse read-only folders."""
 
-    def __init__(self, function: FunctionType, file: str) -> None:
-        super().__init__(function, file)
-        self._function = function
-
     def ensure_cache_path(self) -> None:
         """Do nothing: the write itself shows whether the folder is writable."""
-
-    def get_source_stamp(self) -> tuple[tuple[str, str], ...]:
-        return _stamp(self._function)
 
 
 class _Described(caching.CompileResultCacheImpl):
@@ -87,15 +80,14 @@ class KernelStore(caching.FunctionCache):
 
     _impl_class = _Described
 
+    saved = False  # whether this process has stored a compiled kernel of the function
+
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
-        self._function = function
-        self._stamp = self._impl.locator.get_source_stamp()
-        self.saved = False
-        """Whether this process has stored a compiled kernel of the function."""
+        self._stamp = _stamp(function)
 
     def _files(self, *, make: bool) -> Iterator[_Index]:
-        for folder in _folders(inspect.getfile(self._function), make=make):
+        for folder in _folders(inspect.getfile(self._py_func), make=make):
             yield _Index(str(folder), self._impl.filename_base, self._stamp)
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -7,7 +7,7 @@ arrays to which its fields refer, are fixed at its creation.
 
 import struct
 from hashlib import sha256
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numba import extending, types
@@ -63,13 +63,11 @@ def _unbox(kind: _Struct, handle: Any, c: Any) -> extending.NativeValue:
     return extending.NativeValue(value)
 
 
-class StructType(NamedTuple):
-    """A kind of struct: its type in numba, and its fields."""
+class StructType:
+    """A kind of struct: its `type` in numba, for signatures, and the types of its `fields`."""
 
-    type: types.StructRef
-    """numba's type of the struct, for the signatures of compiled functions."""
-    fields: dict[str, types.Type]
-    """numba's type of each field: an array, f8, i8 or b1."""
+    def __init__(self, name: str, fields: dict[str, types.Type]) -> None:
+        self.type, self.fields = _Struct(name, fields), fields
 
     def made_of(self, values: Any) -> Any:
         """Make a struct from a named tuple; with ``NUMBA_DISABLE_JIT=1`` return the tuple itself.
@@ -103,8 +101,3 @@ class StructType(NamedTuple):
                 content.append(value)
                 layout += {types.f8: "d", types.i8: "q", types.b1: "?"}[kind]
         return struct.pack(f"@{layout}0q", *content)
-
-
-def struct_type(name: str, fields: dict[str, types.Type]) -> StructType:
-    """The kind of struct with these fields."""
-    return StructType(_Struct(name, fields), fields)

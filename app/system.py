@@ -236,18 +236,23 @@ def own_path(path: Path) -> Path:
     link in a shared folder, or is relative to a working folder that has been removed.
     """
     try:
-        found = path.absolute()
+        found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
     except FileNotFoundError:
         raise OutputError(f"cannot write {path}: the working folder has been removed") from None
-    for _ in range(41):
-        link = next((each for each in (*reversed(found.parents), found) if each.is_symlink()), None)
-        if link is None:
-            return Path(os.path.normpath(found))
-        if _is_foreign(link):
-            break
-        found = link.parent / link.readlink() / found.relative_to(link)
-    why = f"{link} is a link of another user, or part of a circle"
-    raise OutputError(f"cannot write {path}: {why}")
+    while parts:
+        part = parts.pop(0)
+        here = found.parent if part == ".." else found / part
+        if not here.is_symlink():
+            found = here
+            continue
+        links += 1
+        if links > 40 or _is_foreign(here):
+            why = f"{here} is a link of another user, or part of a circle"
+            raise OutputError(f"cannot write {path}: {why}")
+        target = here.readlink()
+        found = Path("/") if target.is_absolute() else found
+        parts[:0] = [each for each in target.parts if each != "/"]
+    return found
 
 
 def _is_foreign(link: Path) -> bool:

@@ -15,12 +15,10 @@ POINT_RANGE = 3.2  # [m] largest coordinate that can be stored
 class Cloud:
     """P_i, the sampled points of one pair of arm and base (L_m), sorted by height."""
 
-    pair: str
-    """Name of the pair, such as `lm-lEE`."""
+    pair: str  # name of the pair, such as `lm-lEE`
     points: Array
     """(N, 3) int16 points in units of 0.1 mm, in the base's frame, by ascending height."""
-    distances: Array
-    """(N,) uint16 distances d_m of the points, in units of 10 µm."""
+    distances: Array  # (N,) uint16 distances d_m of the points, in units of 10 µm
 
     def __len__(self) -> int:
         return len(self.distances)
@@ -71,8 +69,7 @@ class Border:
     d_b: float
     eps: float
     """[m] d_b and ε of (3)."""
-    points: Array
-    """(N, 3) [m]"""
+    points: Array  # (N, 3) [m]
 
     def __len__(self) -> int:
         return len(self.points)

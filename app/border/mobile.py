@@ -25,8 +25,7 @@ _FLAT = 1e-9  # [m] tolerance for points in a plane
 class ConvexPart(NamedTuple):
     """One convex shape of l_m, in the base's frame."""
 
-    shapes: Shapes
-    """Only this shape."""
+    shapes: Shapes  # only this shape
     lower: Array
     upper: Array
     """(3,) [m] corners of the box of `bounds` around the shape."""

@@ -21,7 +21,7 @@ from numba import types
 from app.border.dbb import SAME_HEIGHT, Border
 from app.compiled import compiled
 from app.strict import Array
-from app.structs import struct_type
+from app.structs import StructType
 
 _SAME_CORNER = 0.01  # [m] largest distance of two ends that belong to the same corner
 _TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefined
@@ -40,14 +40,10 @@ class OffsetContours(NamedTuple):
     Each row of the arrays (N, …) is a ring; the first vertex is repeated at the end.
     """
 
-    firsts: Array
-    """(K + 1,) row of each shape's first ring, and the number of rows."""
-    heights: Array
-    """(N,) [m] heights of the rings, ascending for each shape."""
-    vertices: Array
-    """(N, R + 1) [m] vertices as x + iy."""
-    tangents: Array
-    """(N, R + 1) unit tangents at the vertices, as x + iy."""
+    firsts: Array  # (K + 1,) row of each shape's first ring, and the number of rows
+    heights: Array  # (N,) [m] heights of the rings, ascending for each shape
+    vertices: Array  # (N, R + 1) [m] vertices as x + iy
+    tangents: Array  # (N, R + 1) unit tangents at the vertices, as x + iy
     shown: Array
     """(N, R + 1) [m] signed distance of each vertex from the other offsets; negative if hidden."""
     spans: Array
@@ -99,7 +95,7 @@ _BORDER: dict[str, Any] = {  # first the fields of `OffsetContours`
     "eps": _f8,  # [m] ε of (3)
 }
 _Values: Any = NamedTuple("_Values", [(each, Any) for each in _BORDER])  # type: ignore[misc]
-BORDER = struct_type("_Values", _BORDER)
+BORDER = StructType("_Values", _BORDER)
 """The struct of a border, for signatures of compiled functions."""
 
 

@@ -141,21 +141,16 @@ class ReachMap:
     """Reachability of one body on a lattice around the arm's mount."""
 
     body: str
-    points: Array
-    """(N, 3) [m] positions of the body's point (`Chain`) in the base's frame."""
+    points: Array  # (N, 3) [m] positions of the body's point (`Chain`) in the base's frame
     found: Array
     """(N,) [-] number of inverse kinematics solutions at each position, within the joint limits and
     without self-collision; the mean over orientations and positions of the fixed joints."""
     samples: int
-    reach: Array
-    """(N,) [-] `found`, scaled to a mean of 100 in the best shell."""
-    p_base: Array
-    """(3,) [m] the arm's mount in the base's frame."""
-    spacing_m: float
-    """[m] spacing of the lattice."""
+    reach: Array  # (N,) [-] `found`, scaled to a mean of 100 in the best shell
+    p_base: Array  # (3,) [m] the arm's mount in the base's frame
+    spacing_m: float  # [m] spacing of the lattice
     seed: int
-    free_joints: tuple[str, ...]
-    """Names of the fixed joints; empty if the chain is not redundant."""
+    free_joints: tuple[str, ...]  # names of the fixed joints; empty if the chain is not redundant
 
     @property
     def rho(self) -> Array:

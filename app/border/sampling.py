@@ -29,20 +29,15 @@ from app.strict import Array, Strict
 class SamplingConfig(Strict):
     """Parameters of the sampling of joint positions, for the pairs of (1) and for P_i."""
 
-    seed: int = Field(default=0, ge=0)
-    """[-] seed of all random numbers of the sampling."""
-    pair_samples: int = Field(default=100_000, ge=100)
-    """[-] number of joint positions for (1)."""
+    seed: int = Field(default=0, ge=0)  # [-] seed of all random numbers of the sampling
+    pair_samples: int = Field(default=100_000, ge=100)  # [-] number of joint positions for (1)
     cloud_samples: int = Field(default=200_000, ge=100)
     """[-] number of random joint positions per pair; those in range start the flood of P_i."""
-    d_low: float = Field(default=0.03, ge=0.0, le=0.3)
-    """[m] smallest distance d_m of P_i."""
-    d_high: float = Field(default=0.32, ge=0.05, le=0.6)
-    """[m] largest distance d_m of P_i."""
+    d_low: float = Field(default=0.03, ge=0.0, le=0.3)  # [m] smallest distance d_m of P_i
+    d_high: float = Field(default=0.32, ge=0.05, le=0.6)  # [m] largest distance d_m of P_i
     voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)
     """[m] horizontal side of a voxel; P_i has at most one point in each voxel."""
-    voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)
-    """[m] height of a voxel."""
+    voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)  # [m] height of a voxel
     sectors: int = Field(default=16, ge=1, le=64)
     """[-] number of sectors around the base's centre that are flooded separately."""
     rounds: int = Field(default=4, ge=1, le=16)
@@ -140,10 +135,8 @@ def _flood_jobs(
 class Kept(NamedTuple):
     """Known postures of one pair."""
 
-    q_m: Array
-    """(N, n_m) float32 [rad or m] joint positions."""
-    points: Array
-    """(N, 3) int16 points of the postures, as in `Cloud`."""
+    q_m: Array  # (N, n_m) float32 [rad or m] joint positions
+    points: Array  # (N, 3) int16 points of the postures, as in `Cloud`
 
 
 Columns = TypeVar("Columns", Kept, "Witnesses")
@@ -166,10 +159,8 @@ class SectorJob(NamedTuple):
     pair: Pair
     seed: np.random.SeedSequence
     sector: int
-    sources: Array
-    """(N, n_m) float32 [rad or m] starting postures."""
-    taken: Array
-    """(M,) indices of the sector's filled voxels."""
+    sources: Array  # (N, n_m) float32 [rad or m] starting postures
+    taken: Array  # (M,) indices of the sector's filled voxels
 
 
 def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> Kept:
@@ -190,14 +181,10 @@ def flood_sector(context: Context, job: SectorJob) -> Kept:
 class Witnesses(NamedTuple):
     """Closest points of many postures."""
 
-    q_m: Array
-    """(N, n_m) [rad or m] the postures."""
-    d: Array
-    """(N,) [m] signed distance of the pair."""
-    p_b: Array
-    """(N, 3) [m] closest point on the arm's body, in the base's frame."""
-    normal: Array
-    """(N, 3) unit vectors from l_m to the body."""
+    q_m: Array  # (N, n_m) [rad or m] the postures
+    d: Array  # (N,) [m] signed distance of the pair
+    p_b: Array  # (N, 3) [m] closest point on the arm's body, in the base's frame
+    normal: Array  # (N, 3) unit vectors from l_m to the body
 
 
 def _kept(found: Witnesses) -> Kept:

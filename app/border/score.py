@@ -28,16 +28,11 @@ _FEWEST = 20  # [-] smallest number of values in a shell whose mean can be the p
 class ScoreField:
     """The score 𝒮 of points (…, 3) [m] in the base's frame, for one body of a robot's arm."""
 
-    base: BaseKind
-    """The base, whose signed measure replaces the determinant of (7)."""
-    p_base: Array
-    """(3,) [m] p_base of (9), the arm's mount."""
-    A: float
-    """[1/m²] A of (9), half of the curvature at the peak."""
-    B: float
-    """[m] B of (9), the distance of the best reachability."""
-    C: float
-    """[-] C of (9), the best reachability."""
+    base: BaseKind  # the base, whose signed measure replaces the determinant of (7)
+    p_base: Array  # (3,) [m] p_base of (9), the arm's mount
+    A: float  # [1/m²] A of (9), half of the curvature at the peak
+    B: float  # [m] B of (9), the distance of the best reachability
+    C: float  # [-] C of (9), the best reachability
 
     @classmethod
     def of(cls, model: RobotModel, body: str) -> ScoreField:
@@ -118,14 +113,10 @@ def _fields_at(coefficients: Array, points: Array) -> Array:
 class RadialProfile:
     """Values as a function of the distance from the arm's mount, for K shells around the mount."""
 
-    rho_m: Array
-    """(K,) [m] middle of each shell."""
-    mean: Array
-    """(K,) mean of the values in each shell, NaN without values."""
-    spread: Array
-    """(K,) standard deviation of the values in each shell."""
-    count: Array
-    """(K,) number of values in each shell."""
+    rho_m: Array  # (K,) [m] middle of each shell
+    mean: Array  # (K,) mean of the values in each shell, NaN without values
+    spread: Array  # (K,) standard deviation of the values in each shell
+    count: Array  # (K,) number of values in each shell
 
     def peak(self) -> int:
         """Index of the shell with the largest mean, of those with at least 20 values or, if there
@@ -166,15 +157,12 @@ class ReachFit(NamedTuple):
     C: float
     r_squared: float
     """[-] share of the variance of the shells' means (weighted by count) that (9) explains."""
-    rms: float
-    """[-] root mean square of the residuals of the shells' means, with the same weights."""
-    r_squared_positions: float
-    """[-] share of the variance of single positions that (9) explains."""
+    rms: float  # [-] root mean square of the residuals of the shells' means, with the same weights
+    r_squared_positions: float  # [-] share of the variance of single positions that (9) explains
     rho_min_m: float
     rho_max_m: float
     """[m] smallest and largest fitted distance."""
-    points: int
-    """Number of fitted positions."""
+    points: int  # number of fitted positions
 
     def at(self, rho: Array) -> Array:
         """(9) as printed, at distances rho [m]; the value can be negative."""

@@ -177,8 +177,7 @@ class HasUrdf(Protocol):
     """The part of a robot's description that states the place of the URDF."""
 
     name: str
-    urdf: str
-    """Path of the URDF in the folder of the robot `name`, or its `package://` address."""
+    urdf: str  # path of the URDF in the folder of the robot `name`, or its `package://` address
 
 
 def urdf_path(description: HasUrdf) -> Path:

@@ -29,19 +29,16 @@ from app.strict import (
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
-KINDS: dict[str, type[BaseKind]] = {}
-"""Kinds of base for descriptions, by their name in `kind`."""
+KINDS: dict[str, type[BaseKind]] = {}  # kinds of base for descriptions, by their name in `kind`
 
 
 class ArmDescription(Sourced):
     """The manipulator: its joints from the base outwards, its limits and its end-effector."""
 
-    mount_link: str
-    """URDF link whose origin is the arm's mount: `p_base` of (9)."""
+    mount_link: str  # URDF link whose origin is the arm's mount: `p_base` of (9)
     joints: tuple[str, ...] = Field(min_length=1)
     """Names of the URDF's joints, from the base outwards."""
-    end_effector_link: str
-    """URDF link that carries the end-effector."""
+    end_effector_link: str  # URDF link that carries the end-effector
     end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
     """[m] origin of the end-effector's frame in the frame of `end_effector_link`."""
     end_effector_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
@@ -77,12 +74,9 @@ class ArmDescription(Sourced):
 class BodyDescription(Strict):
     """One link l_• of Figure 2b: a union of convex shapes that encloses some URDF links."""
 
-    source: str
-    """Source of the shapes."""
-    name: Name
-    """Name, as in the pair `lm-lEE`."""
-    frame: str
-    """URDF link in whose frame the shapes are."""
+    source: str  # source of the shapes
+    name: Name  # name, as in the pair `lm-lEE`
+    frame: str  # URDF link in whose frame the shapes are
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
     """URDF links that this body represents in distances and contacts. It encloses them, except for
@@ -95,12 +89,9 @@ class BodyDescription(Strict):
 class ReachabilityDescription(Sourced):
     """The coefficients A, B and C of (9) for one body of the arm."""
 
-    A_per_m2: Positive
-    """[1/m²]"""
-    B_m: Positive
-    """[m]"""
-    C: Positive
-    """[-]"""
+    A_per_m2: Positive  # [1/m²]
+    B_m: Positive  # [m]
+    C: Positive  # [-]
 
 
 class LinePlace(Sourced):
@@ -108,8 +99,7 @@ class LinePlace(Sourced):
 
     start_m: Vector3
     """[m] start of the end-effector in the world; the base is at the origin and faces +x."""
-    move_m: Vector3
-    """[m] displacement of the end-effector in the world."""
+    move_m: Vector3  # [m] displacement of the end-effector in the world
 
 
 class RobotDescription(Strict):

@@ -29,12 +29,9 @@ class ClosestPoints(NamedTuple):
     """The closest points of one link pair <a, b> in the world: the result of FindClosestPoints."""
 
     pair: Pair
-    d: float
-    """[m] signed distance, negative in penetration."""
-    p_a: Array
-    """(3,) [m] closest point on `a`."""
-    p_b: Array
-    """(3,) [m] closest point on `b`."""
+    d: float  # [m] signed distance, negative in penetration
+    p_a: Array  # (3,) [m] closest point on `a`
+    p_b: Array  # (3,) [m] closest point on `b`
     n: Array
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
@@ -50,18 +47,14 @@ class ClosestPoints(NamedTuple):
 class LinkPairs:
     """The set L of (1), all pairs that can collide, split as in (2)."""
 
-    mobile: tuple[Pair, ...]
-    """L_m, the pairs of the mobile base and a body of the arm."""
-    manipulator: tuple[Pair, ...]
-    """L_m^c, the pairs of two bodies of the arm."""
-    never: tuple[Pair, ...]
-    """Pairs without a sample in collision."""
+    mobile: tuple[Pair, ...]  # L_m, the pairs of the mobile base and a body of the arm
+    manipulator: tuple[Pair, ...]  # L_m^c, the pairs of two bodies of the arm
+    never: tuple[Pair, ...]  # pairs without a sample in collision
     rates: dict[str, NonNegative] = field(hash=False)
     """Share of the samples in collision, by the name of the pair."""
     least_distance_m: dict[str, Finite] = field(hash=False)
     """[m] smallest sampled signed distance, by the name of the pair."""
-    samples: int
-    """Number of sampled joint positions."""
+    samples: int  # number of sampled joint positions
     seed: int
 
     @property

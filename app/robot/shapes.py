@@ -32,8 +32,7 @@ Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
 class _Placed(Strict):
     """A shape placed in the frame of its body."""
 
-    xyz_m: Vector3 = (0.0, 0.0, 0.0)
-    """[m] centre of the shape in the body's frame."""
+    xyz_m: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of the shape in the body's frame
     rpy_rad: Vector3 = (0.0, 0.0, 0.0)
     """[rad] fixed-axis roll, pitch and yaw of the shape in the body's frame."""
 
@@ -46,8 +45,7 @@ class Box(_Placed):
     """A box with its centre at `xyz_m`."""
 
     type: Literal["box"]
-    size_m: tuple[Positive, Positive, Positive]
-    """[m] full side lengths along x, y and z."""
+    size_m: tuple[Positive, Positive, Positive]  # [m] full side lengths along x, y and z
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Box(*self.size_m)
@@ -57,8 +55,7 @@ class Sphere(_Placed):
     """A sphere with its centre at `xyz_m`."""
 
     type: Literal["sphere"]
-    radius_m: Positive
-    """[m]"""
+    radius_m: Positive  # [m]
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Sphere(self.radius_m)
@@ -68,10 +65,8 @@ class Cylinder(_Placed):
     """A cylinder along z with its centre at `xyz_m`."""
 
     type: Literal["cylinder"]
-    radius_m: Positive
-    """[m]"""
-    length_m: Positive
-    """[m] full length along z."""
+    radius_m: Positive  # [m]
+    length_m: Positive  # [m] full length along z
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Cylinder(self.radius_m, self.length_m)
@@ -81,12 +76,9 @@ class Capsule(Strict):
     """All points within `radius_m` of the segment from `start_m` to `end_m`."""
 
     type: Literal["capsule"]
-    start_m: Vector3
-    """[m] one end of the segment in the body's frame."""
-    end_m: Vector3
-    """[m] the other end of the segment in the body's frame."""
-    radius_m: Positive
-    """[m]"""
+    start_m: Vector3  # [m] one end of the segment in the body's frame
+    end_m: Vector3  # [m] the other end of the segment in the body's frame
+    radius_m: Positive  # [m]
 
     @property
     def length_m(self) -> float:
@@ -110,8 +102,7 @@ class ConvexMesh(_Placed):
     """The convex hull of a mesh file."""
 
     type: Literal["convex_mesh"]
-    file: str
-    """`package://…` address of the mesh."""
+    file: str  # `package://…` address of the mesh
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
     """[-] factors of the mesh's coordinates, which are metres after the scaling."""
 
@@ -156,12 +147,9 @@ class Superquadric(_Placed):
     """
 
     type: Literal["superquadric"]
-    semi_axes_m: tuple[Positive, Positive, Positive]
-    """[m] half lengths along x, y and z."""
-    e1: Exponent
-    """[-] roundness from top to bottom: 1 is an ellipsoid, 0 would be a box."""
-    e2: Exponent
-    """[-] roundness in plan."""
+    semi_axes_m: tuple[Positive, Positive, Positive]  # [m] half lengths along x, y and z
+    e1: Exponent  # [-] roundness from top to bottom: 1 is an ellipsoid, 0 would be a box
+    e2: Exponent  # [-] roundness in plan
 
     def vertices(self) -> Array:
         """(N, 3) [m] corners of the polytope in the shape's own frame; read-only."""

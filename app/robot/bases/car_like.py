@@ -69,16 +69,12 @@ class CarLikeBase(BaseKind):
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
 
     kind: Literal["car-like"]
-    wheelbase_m: Positive
-    """[m] L, wheelbase."""
+    wheelbase_m: Positive  # [m] L, wheelbase
     steering_limit_rad: Annotated[Positive, Field(lt=math.pi / 2)]
     """[rad] δ_max of a wheel at the middle of the front axle."""
-    steering_rate_radps: Positive
-    """[rad/s] largest steering rate, also at standstill."""
-    wheel_radius_m: Positive
-    """[m] radius of the wheels; for drawing only."""
-    wheel_joints: tuple[str, ...]
-    """Joints of the URDF that roll; for drawing only."""
+    steering_rate_radps: Positive  # [rad/s] largest steering rate, also at standstill
+    wheel_radius_m: Positive  # [m] radius of the wheels; for drawing only
+    wheel_joints: tuple[str, ...]  # joints of the URDF that roll; for drawing only
     steering_joints: tuple[str, ...]
     """Joints of the URDF that turn with the steering; for drawing only."""
 

@@ -21,10 +21,8 @@ from app.strict import Array, Positive, Sourced
 class Axis(NamedTuple):
     """One of the velocity axes ν."""
 
-    symbol: str
-    """Displayed name, such as "v"."""
-    angular: bool
-    """Whether the motion turns the base; its unit is then rad/s, otherwise m/s."""
+    symbol: str  # displayed name, such as "v"
+    angular: bool  # whether the motion turns the base; its unit is then rad/s, otherwise m/s
     way: Literal["forward", "left"] = "forward"
     """Direction of the motion in the base's frame; no meaning for an angular axis."""
 
@@ -76,24 +74,18 @@ PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
 class Channel(NamedTuple):
     """One of the independent motions by which a base moves away from the arm."""
 
-    twist: tuple[float, float, float]
-    """v_x, v_y [m/s] and ω [rad/s] at unit speed."""
-    a_max: float
-    """[m/s² or rad/s²] largest acceleration."""
-    v_max: float
-    """[m/s or rad/s] largest speed."""
-    delay: float = 0.0
-    """[s] time before the motion starts."""
+    twist: tuple[float, float, float]  # v_x, v_y [m/s] and ω [rad/s] at unit speed
+    a_max: float  # [m/s² or rad/s²] largest acceleration
+    v_max: float  # [m/s or rad/s] largest speed
+    delay: float = 0.0  # [s] time before the motion starts
 
 
 class Wheels(NamedTuple):
     """Wheels that turn by the same angle; for drawing only."""
 
     name: str
-    field: str
-    """Field of the base's record with the names of the joints."""
-    joints: tuple[str, ...]
-    """Names of the joints in the URDF."""
+    field: str  # field of the base's record with the names of the joints
+    joints: tuple[str, ...]  # names of the joints in the URDF
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
@@ -113,20 +105,14 @@ class BaseKind(Sourced, ABC):
     other methods suit a base whose axes follow their commands independently of each other.
     """
 
-    axes: ClassVar[tuple[Axis, ...]]
-    """The velocity axes ν, in order."""
+    axes: ClassVar[tuple[Axis, ...]]  # the velocity axes ν, in order
 
     kind: str
-    mass_kg: Positive
-    """[kg] m of (17)."""
-    inertia_kgm2: Positive
-    """[kg m²] I of (18), about the frame's origin."""
-    max_linear_velocity_mps: Positive
-    """[m/s]"""
-    max_linear_acceleration_mps2: Positive
-    """[m/s²]"""
-    traction_limit_n: Positive
-    """[N] largest force of the wheels on the floor."""
+    mass_kg: Positive  # [kg] m of (17)
+    inertia_kgm2: Positive  # [kg m²] I of (18), about the frame's origin
+    max_linear_velocity_mps: Positive  # [m/s]
+    max_linear_acceleration_mps2: Positive  # [m/s²]
+    traction_limit_n: Positive  # [N] largest force of the wheels on the floor
     drive_time_constant_s: Positive
     """[s] time constant of the drive's first-order response to a velocity command."""
 
@@ -255,10 +241,8 @@ class BaseKind(Sourced, ABC):
 class TurningBase(BaseKind):
     """A base whose angular axis has limits of its own; a kind derives from this class."""
 
-    max_angular_velocity_radps: Positive
-    """[rad/s]"""
-    max_angular_acceleration_radps2: Positive
-    """[rad/s²]"""
+    max_angular_velocity_radps: Positive  # [rad/s]
+    max_angular_acceleration_radps2: Positive  # [rad/s²]
 
     @property
     def max_velocity(self) -> tuple[float, ...]:
