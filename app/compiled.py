@@ -176,9 +176,8 @@ class _PartCompiler(_Compiler):
 
 
 def direct(kernel: Function) -> Function:
-    """The compiled code of a kernel with one signature; with ``NUMBA_DISABLE_JIT=1`` the kernel.
-
-    A call skips numba's check of types, which takes 2 to 3 µs; a wrong type is undefined behaviour.
+    """The compiled code of a kernel with one signature, without numba's check of types, which takes
+    2 to 3 µs: a wrong type is undefined behaviour. With ``NUMBA_DISABLE_JIT=1`` the kernel.
     """
     if config.DISABLE_JIT:
         return kernel

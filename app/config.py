@@ -18,13 +18,12 @@ from app.errors import ConfigError, did_you_mean
 from app.strict import Strict, explain
 
 
-def number(default: float, low: float, high: float, label: str = "", **extra: bool | str) -> Any:
-    """A field of a section: a number from `low` to `high`.
+def number(default: float, low: float, high: float, label: str, **extra: bool | str) -> Any:
+    """A field of a section: a number from `low` to `high` that is displayed as `label`.
 
-    It is displayed as `label` or, without a label, by its name. `extra` are the fields `advanced`
-    and `source` of `Parameter`.
+    `extra` are the fields `advanced` and `source` of `Parameter`.
     """
-    return Field(default, ge=low, le=high, title=label or None, json_schema_extra={**extra})
+    return Field(default, ge=low, le=high, title=label, json_schema_extra={**extra})
 
 
 class Parameter(NamedTuple):
@@ -210,20 +209,20 @@ class TaskConfig(Strict):
     """[1/s] velocity gain of the end-effector's task."""
     ee_speed: float = number(0.5, 0.05, 2.0, "Correction speed limit")
     """[m/s] upper bound of the end-effector's correction speed; rad/s for its rotation."""
-    posture_stiffness: float = number(4.0, 0.0, 100.0)
+    posture_stiffness: float = number(4.0, 0.0, 100.0, "Posture stiffness")
     """[1/s²] stiffness of the arm's posture task. The task moves the arm towards its first measured
     posture or, after the fault `jump`, towards the posture at the newest `jump`."""
     joint_centering: float = number(8.0, 0.0, 100.0, "Joint-limit stiffness")
     """[1/s²] restoring acceleration of a joint at a position limit, divided by half of its range.
     This acceleration is proportional to the fifth power of the distance from the middle."""
-    posture_damping: float = number(4.0, 0.0, 100.0)
+    posture_damping: float = number(4.0, 0.0, 100.0, "Posture damping")
     """[1/s] damping of the arm's posture task."""
     base_damping: float = number(3.0, 0.0, 20.0, "Base damping k")
     """[1/s] k of the acceleration −k q̇_b, which brings the base to rest."""
     base_time_scale: float = number(5.0, 1.0, 100.0, "Base time scale", advanced=True)
     """[-] ratio of the time constants of the base's tasks to those of the arm's. The base's tasks
     are slower, because its velocity command has a low rate."""
-    base_weight: float = number(1000.0, 1.0, 1e6)
+    base_weight: float = number(1000.0, 1.0, 1e6, "Base weight")
     """[-] cost of the base's acceleration q̈_b relative to a joint's acceleration. For a
     differential base, q̈_b is that of the wheels. The cost is a part of the posture task or, while
     a person guides the arm, of the task that brings the base to rest."""
@@ -292,7 +291,7 @@ class AdmittanceConfig(Strict):
     """[kg m²] M_a, virtual inertia of the base's rotation."""
     damping: float = number(180.0, 0.0, 600.0, "Linear damping")
     """[N s/m] D_a, damping of the base's translation."""
-    angular_damping: float = number(160.0, 0.0, 600.0)
+    angular_damping: float = number(160.0, 0.0, 600.0, "Angular damping")
     """[N m s] D_a, damping of the base's rotation."""
     v_max: float = number(0.5, 0.05, 2.0, "Top speed v_max")
     """[m/s] largest speed command along each linear axis; the base's own limit applies if it is
@@ -320,30 +319,30 @@ class PersonConfig(Strict):
 class DisturbanceConfig(Strict):
     """Disturbances between controller and robot; none by default."""
 
-    encoder_noise: float = number(0.0, 0.0, 0.005)
+    encoder_noise: float = number(0.0, 0.0, 0.005, "Encoder noise")
     """[rad] standard deviation of the noise of each joint's measured position; m for a prismatic
     joint. With noise, the measured joint velocities are computed from the noisy positions."""
-    base_delay: float = number(0.0, 0.0, 0.5)
+    base_delay: float = number(0.0, 0.0, 0.5, "Base delay")
     """[s] additional delay from a velocity command to the base's drive."""
-    mass_error: float = number(0.0, -0.3, 0.3)
+    mass_error: float = number(0.0, -0.3, 0.3, "Mass error")
     """[-] relative error of the arm's masses and inertias in the controller's model."""
-    slip: float = number(0.0, 0.0, 0.5)
+    slip: float = number(0.0, 0.0, 0.5, "Slip")
     """[-] share of the base's commanded motion that is lost to slip."""
-    sensor_delay: float = number(0.0, 0.0, 0.05)
+    sensor_delay: float = number(0.0, 0.0, 0.05, "Sensor delay")
     """[s] age of all readings on arrival."""
-    sensor_period: float = number(0.0, 0.0, 0.05)
+    sensor_period: float = number(0.0, 0.0, 0.05, "Sensor period")
     """[s] time between two new readings; the last reading is repeated in the meantime. 0 means a
     new reading in each step."""
     dropped: float = number(0.0, 0.0, 0.9, "Dropped readings")
     """[-] share of lost readings; the last reading is repeated instead."""
-    unknown_load: float = number(0.0, 0.0, 10.0)
+    unknown_load: float = number(0.0, 0.0, 10.0, "Unknown load")
     """[kg] mass of a load at the end-effector that the controller does not include."""
-    stated_period: float = number(0.001, 0.0005, 0.008, source="paper, §4.1: 1 kHz")
+    stated_period: float = number(1e-3, 5e-4, 8e-3, "Stated period", source="paper, §4.1: 1 kHz")
     """[s] control period that the controller assumes during the whole run; the true period is
     0.001 s."""
-    time_stamps: Literal["no", "yes"] = "no"
+    time_stamps: Literal["no", "yes"] = Field(default="no", title="Time stamps")
     """[-] whether the controller gets a clock's time and the time stamps of the readings."""
-    begins: float = number(0.0, 0.0, 60.0)
+    begins: float = number(0.0, 0.0, 60.0, "Begins")
     """[s] time at which `sensor_delay`, `sensor_period`, `dropped` and `unknown_load` begin."""
 
 

@@ -29,8 +29,8 @@ class NamedConfig(NamedTuple):
 def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> str:
     """The text of a file: value, range (or choices), unit and meaning of each parameter.
 
-    A comment marks each parameter that differs from the program's default. `hosts` are the names
-    for `[server] allow_host`. This raises the error of `checked_name`.
+    A comment marks a parameter that differs from the program's default. `hosts` are the names for
+    `[server] allow_host`. Raises the error of `checked_name`.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))

@@ -41,12 +41,7 @@ LARGEST_DATA = 10**6  # [characters] longest TOML or JSON text; each value needs
 class Strict(BaseModel):
     """A frozen record without unknown fields; the docstring of a field is its help text."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        use_attribute_docstrings=True,
-        field_title_generator=lambda name, _: name.replace("_", " ").capitalize(),
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 def field_docs(cls: type) -> Iterator[tuple[str, str]]:

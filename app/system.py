@@ -70,10 +70,9 @@ def lower_priority(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit the additional processor time [s] and memory [bytes] of this process in the `with`.
-
-    Beyond the time, the system ends the process. Beyond the memory, an allocation fails (not on
-    macOS).
+    """Limit the additional processor time [s] and memory [bytes] of this process in the `with`:
+    beyond the time, the system ends the process; beyond the memory, except on macOS, an allocation
+    fails.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -377,8 +376,7 @@ def open_standard_files() -> None:
     """Open standard input, output and error as null devices if the parent process closed them;
     otherwise the next file, pipe or socket would receive printed text.
 
-    Text for a closed standard output raises an OSError. Codes replace characters that its encoding
-    lacks.
+    Text for a closed standard output raises an OSError. Codes replace characters that output lacks.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number

@@ -71,8 +71,8 @@ def load_border_data(
 ) -> BorderData:
     """Load the pairs and clouds of a robot, or sample and store them.
 
-    `sampling` are the parameters of the sampling; default: those of the project's files. The other
-    arguments are those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
+    Without `sampling`, the parameters are those of the project's files. The other arguments are
+    those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
     """
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:

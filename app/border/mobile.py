@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
-The distances are those of the collision library. For boxes and round shapes, the compiled functions
-are fifty times faster than the library. For a hull, the time grows with the number of triangles.
+Compiled functions compute the distances of the collision library, for boxes and round shapes fifty
+times faster.
 """
 
 from __future__ import annotations

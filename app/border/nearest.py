@@ -35,9 +35,8 @@ and whether the visible part of the ring starts there."""
 
 
 class OffsetContours(NamedTuple):
-    """The contours of the offset of l_m at each height: the rings of all visible shapes.
-
-    Each row of the arrays (N, …) is a ring; the first vertex is repeated at the end.
+    """The contours of the offset of l_m at each height: the rings of all visible shapes, as rows of
+    the arrays (N, …). The first vertex of a ring is repeated at its end.
     """
 
     firsts: Array  # (K + 1,) row of each shape's first ring, and the number of rows
@@ -312,8 +311,7 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
 
 
 def border_struct(contours: OffsetContours, borders: Sequence[Border] = ()) -> Any:
-    """A struct `BORDER` for a search of the contours or, if there are `borders`, of their points.
-
+    """A struct `BORDER` for a search of the contours or, if there are `borders`, of their points;
     `borders` has the border of each pair of arm and base, all for the d_b of the contours.
     """
     points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])

@@ -111,10 +111,9 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Redundant joints, as indices in the chain: if they are fixed, a pose determines the others.
-
-    They are as near to the body as possible. Raises a DescriptionError if the Jacobian of the
-    others is singular for each choice.
+    """Redundant joints, as indices in the chain and as near to the body as possible: if they are
+    fixed, a pose determines the others. A DescriptionError if the others' Jacobian is always
+    singular.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(20)]

@@ -328,8 +328,7 @@ _AROUND = np.array(
 
 class Voxels:
     """A grid of voxels in the base's frame, above the floor and around a box that encloses l_m.
-
-    Points are int16 in units of 0.1 mm, so that a point has the same voxel on all machines.
+    Points are int16 in units of 0.1 mm, for the same voxels on all machines.
     """
 
     def __init__(

@@ -82,9 +82,8 @@ class ScoreField:
 
 @compiled()
 def field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
-    """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m].
-
-    `coefficients` are `ScoreField.coefficients`. ∇R counts as 0 at the mount: it is undefined.
+    """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m], from `ScoreField.coefficients`. ∇R
+    counts as 0 at the mount, where it is undefined.
     """
     constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
     A, B, C = coefficients[6], coefficients[7], coefficients[8]

@@ -54,8 +54,8 @@ def cache_folder() -> Path:
 def user_robots() -> list[Path]:
     """Folders that have the user's robots as subfolders; the dashboard adds robots to the first.
 
-    `$DBB_ROBOTS` lists them. An empty entry, or an unset variable, means the folder `robots` in the
-    user's data folder or, without a home, in `cache_folder`.
+    They are the entries of `$DBB_ROBOTS`. An empty entry, or an unset variable, means the folder
+    `robots` in the user's data folder or, without a home, in `cache_folder`.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
     return [home_expanded(entry) if entry else usual for entry in _entries()]

@@ -110,14 +110,11 @@ class RobotDescription(Strict):
     """
 
     name: Name
-    title: str
-    """Displayed title."""
+    title: str  #: displayed title
     urdf: str
     """The robot's URDF: a file in the folder of the description, or an address in a package."""
-    licence: str
-    """Licences of the assets that the URDF refers to."""
-    base: SerializeAsAny[BaseKind]
-    """The base, of one of `KINDS`."""
+    licence: str  #: licences of the assets that the URDF refers to
+    base: SerializeAsAny[BaseKind]  #: the base, of one of `KINDS`
     arm: ArmDescription
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
     reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
@@ -130,8 +127,7 @@ class RobotDescription(Strict):
     unwatched: dict[str, str] = Field(default_factory=dict)
     """Reasons why pairs of bodies are not monitored, by the pair's name, such as `lm-l2`.
     Neighbours are never monitored."""
-    config: Config = Config()
-    """Parameters whose default differs for this robot, such as its d_b."""
+    config: Config = Config()  #: parameters whose default differs for this robot, such as its d_b
 
     @model_validator(mode="after")
     def _names_agree(self) -> Self:
@@ -188,8 +184,8 @@ class RobotDescription(Strict):
 def register_base_kind(kind: type[BaseKind]) -> None:
     """Register a kind of base for descriptions: a record whose `kind` is a `Literal` of one name.
 
-    Raises a DescriptionError if the `Literal` has several names, another kind has the name, or the
-    kind lacks a definition that `BaseKind` demands.
+    Raises a DescriptionError for several names, for another kind's name, or if the kind lacks a
+    definition.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
@@ -240,9 +236,8 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by the name of its folder, which replaces `name` in the file.
-
-    Errors: those of `check_robot_name` and `load_description`.
+    """The description of a robot by its folder's name, which replaces `name` in the file; raises
+    the errors of `check_robot_name` and `load_description`.
     """
     check_robot_name(name)
     description = load_description(robot_folder(name) / "robot.toml")

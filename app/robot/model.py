@@ -105,9 +105,8 @@ class RobotModel:
         return np.array([x, y, math.cos(phi), math.sin(phi), *q_m])
 
     def joint_positions(self, q_m: Array, angles: Sequence[float] | Array) -> dict[str, float]:
-        """Positions [rad or m] by joint name, from q_m (n_m,) and wheel angles (n_w,) [rad].
-
-        The angles of the base's `wheels` grow when the base rolls forward or steers to the left.
+        """Positions [rad or m] by joint name, from q_m (n_m,) and the angles (n_w,) [rad] of the
+        base's `wheels`, which grow when the base rolls forward or steers to the left.
         """
         signs, arm = self._wheel_signs, self.description.arm
         pairs = zip(self.description.base.wheels, angles, strict=True)

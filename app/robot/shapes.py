@@ -160,9 +160,8 @@ class Superquadric(_Placed):
 
 
 def hull_mesh(points: Array) -> trimesh.Trimesh:
-    """The convex hull of points (N, 3) [m], its triangles facing outwards.
-
-    A hull without a volume, for example of points on a line, gets a thickness of 0.1 mm.
+    """The convex hull of points (N, 3) [m], its triangles facing outwards; a hull without a volume,
+    for example of points on a line, gets a thickness of 0.1 mm.
     """
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError

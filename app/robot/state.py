@@ -32,13 +32,11 @@ _Vector = Array | tuple[float, float, float]
 class Measurement(NamedTuple):
     """The readings of the robot's sensors in one control step."""
 
-    base_pose: Array
-    """(3,) x, y [m] and heading φ [rad] of the base's centre in the world."""
+    base_pose: Array  #: (3,) x, y [m] and heading φ [rad] of the base's centre in the world
     base_velocity: Array
     """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base; NaN or
     None if it is not measured."""
-    q_m: Array
-    """(n_m,) [rad or m] the arm's joint positions."""
+    q_m: Array  #: (n_m,) [rad or m] the arm's joint positions
     qd_m: Array
     """(n_m,) [rad/s or m/s] the arm's joint velocities; NaN or None if they are not measured."""
     drive: Array = np.zeros(0)
@@ -53,9 +51,8 @@ class Measurement(NamedTuple):
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
-    """An array of floats from a caller's values; masked values become NaN.
-
-    Raises a MeasurementError if the values are not real numbers, or their count is not in `sizes`.
+    """An array of floats from a caller's values, with NaN for masked values; a MeasurementError if
+    they are not real numbers, or their count is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -500,9 +497,7 @@ class RobotState:
         self._compile()
 
     def _compile(self) -> None:
-        """Make a separate model for other inertias; another thread uses the former one until it is
-        complete.
-        """
+        """Make a model with other inertias; other threads use the former one in the meantime."""
         made, factor = self.model.pin, self._factor
         if factor != 1.0 or self._load.mass > 0.0:
             made = made.copy()

@@ -48,9 +48,8 @@ def origin(element: Element, where: str) -> pin.SE3:
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute `key`, or the default if element or attribute is missing.
-
-    Raises a RobotFileError, which begins with `where`, for another count of finite numbers.
+    """The numbers of an attribute `key`, or the default if element or attribute is missing; for
+    another count of finite numbers a RobotFileError, which begins with `where`.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -96,11 +95,10 @@ def mesh_path(address: str) -> Path:
 
 
 def mesh_bytes(links: Iterable[Element]) -> int:
-    """[bytes] size of all mesh files of links, with the `.bin` files beside a `.gltf`; 0 without a
-    file.
+    """[bytes] size of the mesh files of links, with the `.bin` files beside a `.gltf`; 0 without a
+    file, otherwise at least `SMALL` + 1: a few bytes can encode millions of triangles.
 
-    It is at least `SMALL` + 1 with a file: a few bytes can encode millions of triangles. Errors:
-    those of `resolve_package_uri`.
+    Errors: those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}

@@ -164,9 +164,8 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴.
-
-        It is 1 for the measure (7), for which S_0 [m⁴/rad⁴] is chosen.
+        """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴; 1 for the
+        measure (7), for which S_0 [m⁴/rad⁴] is chosen.
         """
         return 1.0
 
@@ -193,9 +192,8 @@ class BaseKind(Sourced, ABC):
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """The feasible velocity (n_b,) [m/s or rad/s] nearest to a desired one; here the same.
-
-        `wanted` (n_b,) is within the limits of each axis, `before` (n_b,) is the previous command.
+        """The feasible velocity (n_b,) [m/s or rad/s] nearest to a desired one (here the same),
+        which is within the limits of each axis; `before` (n_b,) is the previous command.
         """
         del before
         return wanted
@@ -221,9 +219,8 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] acceleration by the drive, (v_cmd − v)/τ, within the limits.
-
-        The command `v_cmd` (n_b,) is clipped to the limits; `drive` is as in `drive_at_rest`.
+        """(n_b,) [m/s² or rad/s²] acceleration by the drive, (v_cmd − v)/τ, within the limits, to
+        which the command is clipped too; `drive` is as in `drive_at_rest`.
         """
         del drive
         gain, limits = 1.0 / self.drive_time_constant_s, (self.max_velocity, self.max_acceleration)
