@@ -140,7 +140,7 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock an open file or folder until closed; False if another has it, None without locks."""
+    """Lock an open file or folder until it closes; False if already locked, None if impossible."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -376,7 +376,7 @@ def open_standard_files() -> None:
     """Open standard input, output and error as null devices if the parent process closed them;
     otherwise the next file, pipe or socket would receive printed text.
 
-    Text for a closed standard output raises an OSError. Codes replace characters that output lacks.
+    Text for a closed output raises an OSError. Codes replace characters that its encoding lacks.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number

@@ -38,7 +38,7 @@ FORMAT = 2  # version of layout and sampling; a new version invalidates all file
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] block size; points are stored as block and offset
 _LARGEST = 256_000_000  # [bytes] largest expanded file; the paper's robot needs 30 MB
 _PARTS = ("blocks", "places", "distances")
-_HEADER = TypeAdapter(dict[str, Any])  # the header of a file has key, format, and the fields of:
+_HEADER = TypeAdapter(dict[str, Any])  # key, format, and the fields of `LinkPairs`
 _PAIRS = TypeAdapter(LinkPairs)
 
 _log = logging.getLogger(__name__)

@@ -169,7 +169,7 @@ class _Tracer:
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
     """(H,) [m] the heights at which a shape's offset is traced, at most 10 mm apart beside the
-    shape, or along the arcs above and below; an arc is only below a shape high above the floor.
+    shape, along the arc above it and, if it is high above the floor, along the arc below it.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

@@ -37,8 +37,7 @@ class ClosestPoints(NamedTuple):
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
     """(3,) [m] p_b, moved along n by the radius of `b` around its core where `b` is round. In the
-    results of `PairDistances`, it is p_b.
-    """
+    results of `PairDistances`, it is p_b."""
     parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 

@@ -90,7 +90,7 @@ class Wheels(NamedTuple):
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
 """Function from the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the
-velocity command (n_b,) to the velocity and the drive one step later, both as new objects."""
+command (n_b,) to velocity and drive one step later; it does not change its arguments."""
 
 
 @cache
