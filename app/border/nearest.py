@@ -1,8 +1,8 @@
 """The border point nearest to a query point: p_n of Algorithm 3.
 
 The border is a surface, the exact offset of l_m, or consists of points as in the paper, which are
-within ε of the surface. The surface also covers regions that the arm never reaches: its closest
-point is never there, and the reachability in the score leads away from them.
+within ε of the surface. The surface also covers regions that the arm never reaches: the arm's
+closest point is never there, and the reachability in the score leads away from such regions.
 
 At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
 closed polygon. The parts of all rings outside of the other shapes' offsets form the contour: one
