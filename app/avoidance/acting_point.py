@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.border.nearest import BorderSearch, nearest_border
+from app.border.nearest import nearest_border
 from app.border.score import ScoreField, field_at
 from app.compiled import compiled
 from app.config import ForceConfig
@@ -160,7 +160,7 @@ class ActingPoint(NamedTuple):
 class ActingPointFinder:
     """Algorithm 3 for one pair, for drawings and studies outside of a control step."""
 
-    def __init__(self, border: BorderSearch, field: ScoreField) -> None:
+    def __init__(self, border: Any, field: ScoreField) -> None:
         self.field = field
         """The score of the pair's body."""
         self._border, self._score = border, field.coefficients()
@@ -168,6 +168,6 @@ class ActingPointFinder:
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
         """The acting point for p_b (3,) [m] at the distance d [m]; None if l_m has no border."""
         step = force.alpha_gain, force.alpha_min, force.alpha_max
-        at, border = np.array(p_b, float), self._border.struct
-        found = ActingPoint(*find_acting_point(border, 0, self._score, at, d, step))
+        at = np.array(p_b, float)
+        found = ActingPoint(*find_acting_point(self._border, 0, self._score, at, d, step))
         return None if math.isnan(found.alpha) else found

@@ -89,7 +89,6 @@ from app.control.tasks import (
     uncompensated_base_jacobian,
 )
 from app.robot.state import (
-    chain_motion,
     coordinates,
     distance_motions,
     point_bias,
@@ -310,16 +309,15 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
     put(w.h, h)
     put(w.g, g)
     put_rows(w.L_aa, cholesky(w.M[robot.n_b :, robot.n_b :]))
-    twists, biases = chain_motion(w.J_pin, w.v_pin)
-    put_rows(w.twists, twists)
-    put_rows(w.biases, biases)
     put_rows(w.R_base, w.oMi[1, :3].T)
     put(w.p_o, w.oMi[1, 3])
     R_last = w.oMi[-1, :3].T
     for i in range(3):
         put(w.R_ee[i], times(robot.R_tip.T, R_last[i]))
     put(w.p_ee, times(R_last, robot.p_tip) + w.oMi[-1, 3])
-    J_ee, v_ee, Jdqd_ee = tip_motion(w.J_pin, robot.T_J_m, w.twists, w.biases, w.p_ee)
+    twists, biases, J_ee, v_ee, Jdqd_ee = tip_motion(w.J_pin, robot.T_J_m, w.v_pin, w.p_ee)
+    put_rows(w.twists, twists)
+    put_rows(w.biases, biases)
     put_rows(w.J_ee, J_ee)
     put(w.v_ee, v_ee)
     put(w.Jdqd_ee, Jdqd_ee)

@@ -139,7 +139,7 @@ class Controller:
         if "hierarchy" in METHODS[self.name]:
             border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
-        self._border = border_of(self._model, clouds, border).struct
+        self._border = border_of(self._model, clouds, border)
         self._set_gains()
 
     def _set_gains(self) -> None:

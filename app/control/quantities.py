@@ -28,7 +28,7 @@ from typing_extensions import Self
 
 from app.robot.link_pairs import Pair
 from app.strict import Array
-from app.structs import struct_type
+from app.structs import StructType
 
 
 class Quantity(NamedTuple):
@@ -307,7 +307,7 @@ _Values: Any = NamedTuple(  # type: ignore[misc]
     "_Values",
     [(each, Any) for each in (*PINOCCHIO, *(q.name for q in QUANTITIES))],  # pyright: ignore
 )
-STEP = struct_type(
+STEP = StructType(
     "_Values",
     PINOCCHIO | {q.name: types.Array(types.f8, len(q.shape.split()), "C") for q in QUANTITIES},
 )

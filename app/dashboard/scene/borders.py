@@ -9,8 +9,8 @@ import viser
 from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resultant_force
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderSearch
-from app.border.offset import OffsetContours, offset_contours
+from app.border.nearest import OffsetContours, border_struct
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
 from app.config import BorderConfig
 from app.dashboard import phrases as words
@@ -109,7 +109,7 @@ class Borders:
         n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
         d_b, d = snapshot.d_b, _INSIDE * snapshot.d_b
         p_b = p - (d_b - d) * n
-        finder = ActingPointFinder(BorderSearch(self.surface(snapshot.border).table), field)
+        finder = ActingPointFinder(border_struct(self.surface(snapshot.border)), field)
         found = finder.find_acting_point(p_b, d, config.force)
         assert found is not None, "a drawn border has contours"
         f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)

@@ -11,8 +11,8 @@ from typing_extensions import Self
 from app.avoidance.acting_point import ActingPoint, ActingPointFinder, avoidance_force
 from app.border.cache import BorderData, load_border_data
 from app.border.dbb import Border, construct_dbb
-from app.border.nearest import BorderSearch
-from app.border.offset import OffsetContours, offset_contours
+from app.border.nearest import OffsetContours, border_struct
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
 from app.config import Config, ForceConfig
 from app.jobs.pool import Workers
@@ -117,7 +117,7 @@ class Sources:
     def finder(self, border: Border | None = None) -> ActingPointFinder:
         """Algorithm 3 for the end-effector on a border of points or, by default, on the surface."""
         points = [] if border is None else [border]
-        return ActingPointFinder(BorderSearch(self.offset.table, points), self.field)
+        return ActingPointFinder(border_struct(self.offset, points), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
