@@ -254,11 +254,9 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
         units = f"lengths of a URDF are in metres, these look like {unit_of(length)}"
         raise RobotFileError(f"--tip: {why}: {units}")
     if follower := next((each.name for each in chain if each.kind in MOVING and each.mimic), None):
-        why = f"the joint {follower!r} of the arm follows another joint (<mimic>)"
+        why = f"--tip: the joint {follower!r} of the arm follows another joint (<mimic>)"
         helps = "remove the <mimic>, or set a --tip before it"
-        raise RobotFileError(
-            f"--tip: {why}, but each joint of the arm needs its own motor; {helps}"
-        )
+        raise RobotFileError(f"{why}, but each joint of the arm needs its own motor; {helps}")
     if not joints:
         why = f"--tip: no joint moves {tip!r} relative to --base {base!r}"
         raise RobotFileError(f"{why}; set a --tip beyond the arm's joints, or a --base before them")

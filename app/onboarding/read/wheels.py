@@ -299,11 +299,9 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     joints = [tree.joints[name] for name in found]
     places = [(T_base_floor.inverse() * base.pose(j.child)).translation[0] for j in joints]
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
-        why = (
-            f"{len(places)} steered wheels found on {arm.base!r}, but two on one axle are required"
-        )
+        why = f"{len(places)} steered wheels found on {arm.base!r}"
         helps = "set --wheelbase, the distance from the rear to the front axle"
-        raise RobotFileError(f"--wheelbase: {why}; {helps}")
+        raise RobotFileError(f"--wheelbase: {why}, but two on one axle are required; {helps}")
     if not request.wheelbase and np.mean(places) <= 0:
         why = "--wheels: the steered wheels are behind the driven ones"
         raise RobotFileError(f"{why}; set --wheels LEFT RIGHT")

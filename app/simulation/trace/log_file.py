@@ -24,6 +24,7 @@ SUFFIXES = ".csv", ".parquet"  # the ending of a file's name selects the format
 
 _NEWER = "; if a newer version of this program wrote the log, read it with that version"
 _FORMAT = ("dbb_log", "format")  # place of the number of the format in the header
+_NO_LOG = "missing", ("dbb_log",)  # problem of a header without a record `dbb_log`
 _CELL = 100  # [bytes] memory for a cell of a snapshot
 _NUMBER = 8  # [bytes] memory for a number of the table
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
@@ -41,19 +42,19 @@ class LogHeader(Strict):
         try:
             return cls.model_validate_json(text)
         except ValidationError as error:
-            problems = [(p["type"], p["loc"]) for p in problems_of(error)]
-            if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
+            problems = problems_of(error)
+            stated = next((p["input"] for p in problems if p["loc"] == _FORMAT), None)
+            if any(not p["loc"] or (p["type"], p["loc"]) == _NO_LOG for p in problems):
                 fault = "the file has no metadata of a log: dbb run --log or --out writes logs"
-                raise LogError(fault) from None
-            formats = [p["input"] for p in problems_of(error) if p["loc"] == _FORMAT]
-            if formats and isinstance(found := formats[0], int):
+            elif isinstance(stated, int):
                 own = TraceMeta.model_fields["format"].default
-                age = "an older" if found < own else "a newer"
+                age = "an older" if stated < own else "a newer"
                 helps = f"{age} version of this program wrote the log: read it with that version"
-                fault = f"the format is {found}, but this version reads {own}; {helps}"
-                raise LogError(fault) from None
-            unknown = {"extra_forbidden", "literal_error"} & {kind for kind, _ in problems}
-            raise LogError(f"the metadata: {explain(error, cls)}{_NEWER * bool(unknown)}") from None
+                fault = f"the format is {stated}, but this version reads {own}; {helps}"
+            else:
+                unknown = any(p["type"] in ("extra_forbidden", "literal_error") for p in problems)
+                fault = f"the metadata: {explain(error, cls)}{_NEWER * unknown}"
+            raise LogError(fault) from None
 
 
 def write_trace(path: Path, trace: Trace) -> None:

@@ -181,11 +181,6 @@ def _door_distance(run: Trace) -> Array:
     return run[f"d_{next(pair for pair in run.meta.pairs if pair.endswith(BODY))}_m"]
 
 
-def _radial_error(run: Trace) -> float | None:
-    late = np.flatnonzero(run.t >= _ESTIMATE_AT)
-    return float(run["radial_error_rad"][late[0]]) if len(late) else None
-
-
 _ABOUT = """
 min_distance_m: Smallest distance of each link pair; a negative distance is an overlap of bodies.
 min_clearance_m: Smallest distance of the pairs with the base.
@@ -291,7 +286,9 @@ _OF_DOOR: dict[str, Callable[[Trace], Any]] = {
     "door_contacts": lambda r: int(r["door_contact"].sum()),
     "first_door_contact_s": lambda r: _first(r, r["door_contact"] > 0),
     "door_met_base_s": lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
-    "radial_error_at_5s_rad": _radial_error,
+    "radial_error_at_5s_rad": lambda r: next(
+        iter(r["radial_error_rad"][r.t >= _ESTIMATE_AT].tolist()), None
+    ),
     "base_back_off_s": lambda r: _first(r, np.hypot(*_moves(r)[:, :2].T) >= _BACKED_OFF),
 }
 

@@ -49,7 +49,6 @@ EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop and i
 
 _door_of = lru_cache(maxsize=64)(TypeAdapter(Door).validate_json)
 _door_text = lru_cache(maxsize=64)(lambda door: json.dumps(asdict(door)))
-_WXYZ = [3, 0, 1, 2]  # pinocchio's order of a quaternion is x, y, z, w
 
 
 class PairReading(NamedTuple):
@@ -274,7 +273,7 @@ class Snapshot:
     p_ee: Annotated[Array, number("p_ee_{xyz}_m", "state.p_ee")]
     """(3,) [m] position of the end-effector in the world."""
     wxyz_ee: Annotated[
-        Array, drawn("q_ee_{wxyz}", lambda s, o: pin.Quaternion(s.state.R_ee).coeffs()[_WXYZ])
+        Array, drawn("q_ee_{wxyz}", lambda s, o: np.roll(pin.Quaternion(s.state.R_ee).coeffs(), 1))
     ]
     """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
