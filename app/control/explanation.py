@@ -158,16 +158,15 @@ def explain(
     bounds = active_bounds(model, w, config) if solved else []
     limited = {bound.where for bound in bounds if bound.kind == "barrier"}
     near = (_near_pair(model, w, i, limited=p.name in limited) for i, p in enumerate(w.pairs))
+    near = sorted(filter(None, near), key=lambda p: (p.mobile, p.beta, -p.d), reverse=True)
     nearest = int(np.argmin(w.d[: w.n_mob]))
-    known = [pair for pair in near if pair is not None]
-    known.sort(key=lambda p: (p.mobile, p.beta, -p.d), reverse=True)
     base = model.description.base
     return Explanation(
         controller=controller.name,
         mode="tracking" if w.tracking else "guiding",
         solved=solved,
         chain=tuple(model.body_names),
-        near=tuple(known),
+        near=tuple(near),
         nearest=(w.pairs[nearest].a, w.pairs[nearest].b, float(w.d[nearest])),
         axes=base.axes,
         base_avoidance=_tuple_of(w.base_avoidance),

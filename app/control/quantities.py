@@ -324,12 +324,10 @@ class ControlStep:
         ends = np.cumsum([0, *(math.prod(shape) for shape in shapes)]).tolist()
         self.memory = np.zeros(ends[-1])
         """All quantities, one after the other: neighbours share cache lines."""
-        self.places: dict[str, range] = {}
-        """Indices of the entries of each quantity in `memory`."""
-        for each, shape, own in zip(QUANTITIES, shapes, map(range, ends, ends[1:]), strict=False):
-            self.places[each.name] = own
-            setattr(self, each.name, self.memory[own.start : own.stop].reshape(shape))
-        self.__dict__.update(pinocchio)
+        parts = zip(map(slice, ends, ends[1:]), shapes, strict=False)
+        self.places = dict(zip((each.name for each in QUANTITIES), parts, strict=True))
+        """For each quantity, its part of `memory` and its shape."""
+        self.__setstate__(pinocchio)
         values = _Values(**{name: getattr(self, name) for name in _Values._fields})
         self.struct = STEP.made_of(values)
         """The same memory for compiled functions."""
@@ -343,15 +341,15 @@ class ControlStep:
         return self.B[: self.n_b] * self.xdd_m
 
     def __getstate__(self) -> dict[str, Any]:
-        """All values, for `copy.deepcopy` and `pickle`; the copy has no struct."""
-        return vars(self) | {"struct": None, "pinocchio": None}
+        """The values for `copy.deepcopy` and `pickle`; the copy has no struct."""
+        own = {name: value for name, value in vars(self).items() if name not in self.places}
+        return own | {"struct": None, "pinocchio": None}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Use the values of `__getstate__`; the quantities are views of `memory` again."""
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Use the values of `state`, and make the quantities views of `memory`."""
         self.__dict__.update(state)
-        for name, own in self.places.items():
-            view = self.memory[own.start : own.stop].reshape(state[name].shape)
-            setattr(self, name, view)
+        for name, (part, shape) in self.places.items():
+            setattr(self, name, self.memory[part].reshape(shape))
 
     def copy(self) -> Self:
         """A copy in separate memory, which no step overwrites."""
