@@ -73,13 +73,9 @@ def find_acting_point(
 
     Paper: Algorithm 3.
 
-    Args:
-        border: `BORDER` of the robot.
-        pair: Number of the pair among the pairs of arm and base (L_m), from 0.
-        score: (9,) `ScoreField.coefficients` of the pair's body.
-        p_b: (3,) [m] closest point on the arm, in the base's frame.
-        d: [m] signed distance of the pair.
-        step: `gain`, `alpha_min` and `alpha_max` of `step_size`.
+    `border` is `BORDER` of the robot, `pair` the number of the pair in L_m, from 0, and `score`
+    (9,) the `ScoreField.coefficients` of the pair's body. `p_b` (3,) [m] is in the base's frame,
+    `d` [m] the signed distance. `step` has `gain`, `alpha_min` and `alpha_max` of `step_size`.
     """
     p_n, t = nearest_border(border, pair, p_b)
     if math.isnan(p_n[0]):
@@ -138,8 +134,7 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
     """ẍ_m = A_b f_m (n_b,) [m/s² or rad/s²]: acceleration along the base's axes by the force f_m.
 
-    `A_b` (n_b, 3) is `BaseKind.A_b`, for a differential base that of (17) and (18). `f_m` (3,)
-    [N, N, N m] is the result of `resultant_force`.
+    `A_b` (n_b, 3) is `BaseKind.A_b`: (17) and (18) for a differential base. `f_m` (3,) [N, N, N m].
 
     Paper: Eq. (16).
     """

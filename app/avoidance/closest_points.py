@@ -189,13 +189,12 @@ def mean_nearest(
 
     There is a row for each pair, then one for each convex part of each `a` that has several.
 
-    Args:
-        bodies: Four arrays of all bodies, one body after the other: (P, 16) rows and (T, 4, 3)
-            triangles of `Shapes`; (K, 4) [m] nodes, each with the radius around it; (bodies + 1, 2)
-            index of the first shape and of the first node of each body.
-        sought: (k, 4) indices of `a` and `b`, then first and end index of the used shapes of `a`.
-        placed: (4 bodies, 3) pose of each body in the world: three rows of R, then the origin [m].
-        blend: [m] smoothing length τ.
+    `bodies` are four arrays of all bodies, one body after the other: (P, 16) rows and (T, 4, 3)
+    triangles of `Shapes`; (K, 4) [m] nodes, each with the radius around it; (bodies + 1, 2) index
+    of the first shape and of the first node of each body. `sought` (k, 4) has the indices of `a`
+    and `b`, then first and end index of the used shapes of `a`. `placed` (4 bodies, 3) has the pose
+    of each body in the world: three rows of R, then the origin [m]. `blend` [m] is the smoothing
+    length τ.
     """
     rows, triangles, nodes, firsts = bodies
     found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))

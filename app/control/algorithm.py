@@ -158,17 +158,12 @@ def algorithm_2(
 
     Paper: Algorithm 2.
 
-    Args:
-        robot: `ROBOT`.
-        gains: `GAINS`.
-        slow: `GAINS` of the slower configuration `app.config.slowed`, for the base's QPs.
-        border: `BORDER`.
-        w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
-        base_source: `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) or `BASE_AS_COMMANDED`.
-        tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
-
-    Returns:
-        `w.qp_open`: the number of the problem that Python has to solve; 0 after a complete step.
+    `robot`, `gains`, `border` and `w` are the structs `ROBOT`, `GAINS`, `BORDER` and `STEP`; `slow`
+    are the gains of the slower configuration `app.config.slowed`, for the base's QPs. `w` already
+    contains the results of `update_estimate`, and of pinocchio. `base_source` is `DRIVE_MODEL`,
+    `BASE_MEASURED` (in `w.a_base_meas`) or `BASE_AS_COMMANDED`. `tracking` states whether there is
+    a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`). Returns `w.qp_open`: the number of the problem
+    that Python has to solve, or 0 after a complete step.
     """
     # fmt: off
     update_kinematics(robot, gains, w)               # line 2, closest points of lines 4 and 9

@@ -130,14 +130,11 @@ def estimate_arm(
     samples, `_begin_at` replaces the filter. A joint without a position is only predicted. As in
     drives and simulators, a measured velocity is the mean velocity of the last control period.
 
-    Args:
-        w: `STEP`; its `x_read`, `P_est`, `noise_var`, `q_last` and `samples` are used.
-        predicted: (k, n_m) `predicted_joint_acceleration` in each of the k control periods
-            since the last reading; no rows after a gap.
-        read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN if one is unknown.
-        qd_max: (n_m,) joint speed limits.
-        drift: (n_m,) `process_noise`.
-        gains: `GAINS`.
+    `w` is a `STEP`; its `x_read`, `P_est`, `noise_var`, `q_last` and `samples` are used.
+    `predicted` (k, n_m) has the `predicted_joint_acceleration` in each of the k control periods
+    since the last reading; no rows after a gap. `read` (2, n_m) has positions [rad or m] and
+    velocities [rad/s or m/s], NaN if one is unknown. `qd_max` (n_m,) are the joints' speed limits,
+    `drift` (n_m,) is `process_noise`, and `gains` `GAINS`.
     """
     x, P, last, steps, dt = w.x_read, w.P_est, w.q_last, len(predicted), gains.dt
     q, qd = read

@@ -276,17 +276,9 @@ def solve_qp(
     smallest C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε²
     times the violation at the optimum without limits. Soft limits are never infeasible.
 
-    Args:
-        H: (n, n) symmetric positive definite.
-        c: (n,) linear term.
-        C: (m, n) rows of the limits.
-        l: (m,) lower limits.
-        u: (m,) upper limits.
-        softness: (m,) [-] softness ε² of each row; a row with 0 is hard.
-        fixed: (k,) the first entries of x.
-
-    Returns:
-        (n,) the solution, and whether the active-set search has found it.
+    H (n, n) is symmetric positive definite, c (n,) the linear term. The rows C (m, n) have the
+    limits l and u (m,) and the softness ε² (m,) [-]; a row with 0 is hard. `fixed` (k,) are the
+    first entries of x. Returns the solution (n,), and whether the active-set search has found it.
     """
     k = len(fixed)
     L, free = _free_optimum(H, c, fixed)

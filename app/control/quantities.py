@@ -89,7 +89,8 @@ twists | | n_j 6 | m/s, rad/s | world | |
     velocity of the body on each joint, at the origin of the world: linear, then angular
 biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
-valid | | | 1 | | readings | 0 without a usable reading for 0.1 s, or after a contradiction; else 1
+valid | | | 1 | | readings |
+    0 before a usable reading, after 0.1 s without one, or after a contradiction; else 1
 faults | | 13 | 1 | | readings | 1 for each fault of the readings, in the order of `readings.FAULTS`
 blind_time | T | | s | | readings | memory: recent longest age of the readings, including doubts
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
@@ -122,7 +123,7 @@ agreed | | s | | duration of the successive measurements that agree on a `ratio`
 corrected | | 1 | | 1 after the fault `period`
 no_velocity | | 1 | | 1 while velocities do not match the positions
 rested | n_m | 1 | joints | number of equal readings of each joint that are no repetitions
-grain | n_m | rad, m | joints | upper bound of the resolution of each joint; 0 before a change
+grain | n_m | rad, m | joints | upper bound of each encoder's resolution; 0 before a change
 interval | | 1 | | control periods between the last two new readings
 reading | 2 n_m | rad, rad/s | joints | newest positions and velocities
 pose_read | 3 | m, m, rad | world | newest pose of the base
@@ -133,8 +134,9 @@ pose_jump | 3 | m, m, rad | world |
     difference of the newest pose from the expected one; 0 after the reference has used it
 pose_way | 2 | m, rad | | recent path length and angle; infinite until a pose is known
 pose_age | | s | | time since the newest pose of the base
-astray | n_b | m/s, rad/s | axes | recent changes of `base_velocity` without those by the model
-history | 128 n_m | rad/s² | joints | ring buffer of predicted accelerations in control periods
+astray | n_b | m/s, rad/s | axes |
+    recent changes of the base's velocity that the model of its drive does not explain
+history | 128 n_m | rad/s² | joints | ring buffer: predicted accelerations in control periods
 base_history | 128 n_b | m/s², rad/s² | axes | assumed accelerations of the base, as in `history`
 base_late | | 1 | | 1 if the base's readings are advanced to the time stamp of the joints'
 base_lost | | 1 | | 1 if the last step had no new reading of the base
@@ -156,8 +158,8 @@ lifts | 8 n_m | N m/kg, N/kg | joints | torques that move a load of 1 kg, as in 
 v_tip | 3 | m/s | world | velocity of the end-effector one control period ago
 torques_age | | s | | age of the newest interval of `torques`
 x_read | 3 n_m | rad, rad/s, rad/s² | joints | Kalman state: `x_est` at the newest reading
-v_error | n_m | rad/s, m/s | joints | recent error of `qd_m`; 0 while all readings are new
-qd_used | 128 n_m | rad/s, m/s | joints | ring buffer of `qd_m` of the last control periods
+v_error | n_m | rad/s, m/s | joints | recent error of velocities in use; 0 while all readings are new
+qd_used | 128 n_m | rad/s, m/s | joints | ring buffer: `qd_m` of the last control periods
 # Memory of estimate
 q_last | 4 n_m | rad/s, rad, 1 | joints |
     last velocity from positions, last position, the unexplained second difference of the
@@ -245,7 +247,7 @@ v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command of the last comm
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: present velocity command
 # A QP that Python has to solve
 qp_open | | | 1 | | | number 1 to 4 of the problem that Python has to solve; 0 without one
-qp_x | | 4 n | | reduced | | solutions of the three QPs and of the hierarchy, or NaN
+qp_x | | 4 n | | reduced | | Python's solutions of the three QPs and the hierarchy, or NaN
 qp_tried | | 4 | 1 | | | 1 for each of these problems that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP

@@ -245,14 +245,11 @@ def posture_objective(
     to s⁵, where s is 0 in the middle of its range and ±1 at a limit: a joint leaves its limit if
     the other tasks can be satisfied away from this limit.
 
-    Args:
-        qd: (n,) q̇.
-        q_m: (n_m,) [rad or m] joint positions.
-        q_posture: (n_m,) [rad or m] the posture.
-        q_limits: (2, n_m) [rad or m] lower and upper joint limits.
-        arm: Stiffness towards the posture [1/s²], damping of the joints [1/s], and restoring
-            acceleration at a joint limit, relative to half the range [1/s²].
-        base: Cost of the base's acceleration, relative to a joint's [-], and its damping [1/s].
+    `qd` (n,) is q̇. `q_m` and `q_posture` (n_m,) [rad or m] are the joint positions and the
+    posture, `q_limits` (2, n_m) the lower and upper joint limits. `arm` has the stiffness towards
+    the posture [1/s²], the damping of the joints [1/s], and the restoring acceleration at a joint
+    limit, relative to half the range [1/s²]; `base` has the cost of the base's acceleration,
+    relative to a joint's [-], and its damping [1/s].
     """
     n, n_m = len(qd), len(q_m)
     n_b = n - n_m
@@ -352,7 +349,7 @@ def insert_rows(
 
     the blend of (29), where q̈*_∖i is the solution without row i. With other rows, row i has no
     effect at β_i = 0, and at β_i = 1 it is satisfied up to an error in proportion to ε. The paper
-    blends all rows with the solution without any: it jumps if a row enters while one is active.
+    blends all rows with the solution without any row, which jumps when a second row enters.
 
     H (n, n) is symmetric positive definite; `J` (k, n), `b` (k,) and `beta` (k,) are the rows. The
     first `fixed` entries of q̈ are fixed, and do not contribute to J_i H⁻¹ J_iᵀ.
