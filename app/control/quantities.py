@@ -319,16 +319,16 @@ class ControlStep:
         self.pinocchio: object = None
         """The owner of the memory of `PINOCCHIO`'s views; it must exist as long as the views."""
         self.n_b, self.n_mob = sizes["n_b"], sizes["n_mob"]
-        shapes = [
+        self._shapes = [
             [sizes[size] if size in sizes else int(size) for size in each.shape.split()]
             for each in QUANTITIES
         ]
-        ends = np.cumsum([0, *(math.prod(shape) for shape in shapes)]).tolist()
+        ends = np.cumsum([0, *map(math.prod, self._shapes)]).tolist()
         self.memory = np.zeros(ends[-1])
         """All quantities, one after the other: neighbours share cache lines."""
-        parts = zip(map(slice, ends, ends[1:]), shapes, strict=False)
-        self.places = dict(zip((each.name for each in QUANTITIES), parts, strict=True))
-        """For each quantity, its part of `memory` and its shape."""
+        names = (each.name for each in QUANTITIES)
+        self.places = dict(zip(names, map(range, ends, ends[1:]), strict=True))
+        """Indices of the entries of each quantity in `memory`."""
         self.__setstate__(pinocchio)
         values = _Values(**{name: getattr(self, name) for name in _Values._fields})
         self.struct = STEP.made_of(values)
@@ -350,8 +350,8 @@ class ControlStep:
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         """Use the values of `state`, and make the quantities views of `memory`."""
         self.__dict__.update(state)
-        for name, (part, shape) in self.places.items():
-            setattr(self, name, self.memory[part].reshape(shape))
+        for (name, own), shape in zip(self.places.items(), self._shapes, strict=True):
+            setattr(self, name, self.memory[own.start : own.stop].reshape(shape))
 
     def copy(self) -> Self:
         """A copy in separate memory, which no step overwrites."""
