@@ -75,7 +75,7 @@ class SmoothMonitor(DistanceMonitor):
         points = smooth_points(smooth, self._state, blend)
         d = np.empty(len(points))
         self._distances.write_distances(d)
-        return Nearest(pairs, smooth.joints, smooth.rows, d, points)
+        return Nearest(pairs, smooth.arrays["pair_joints"], smooth.rows, d, points)
 
 
 def smooth_points(smooth: SmoothPoints, state: RobotState, blend: float) -> Array:

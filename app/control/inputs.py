@@ -114,7 +114,6 @@ def robot_struct(
     rows = [parts or [whole] for whole, *parts in smooth.rows]
     scores = [ScoreField.of(model, pair.b).coefficients() for pair in mobile]
     own = {
-        "n_b": model.n_b,
         "n_mob": len(mobile),
         "T_J_m": model.S[:3, : model.n_b],
         "A_b": base.A_b,
