@@ -1,8 +1,7 @@
 """Reactive self-collision avoidance for a mobile manipulator.
 
-The package implements the method of Jang, Kim and Park. A distance buffer border (DBB) surrounds
-the base. Each point of the border has a score by the base's singularity and the arm's reachability.
-A force at a point of the border moves the base away from the arm. QPs with a continuous task
+The package implements the method of Jang, Kim and Park: a force at a point of the distance buffer
+border (DBB) around the base moves the base away from the arm, and QPs with a continuous task
 transition compute the accelerations.
 
 Example of a robot's own loop at 1 kHz; `sensors` and `send` are functions of the robot::

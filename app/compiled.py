@@ -36,13 +36,12 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """A decorator: it compiles a function for the types in `signatures` at the module's import.
 
     The first import stores the compiled kernel, and later imports load it. Without a writable
-    folder, each process compiles the kernel again. A call never waits for the compiler. It raises a
-    TypeError if an argument, such as an array with a different dtype, fits no signature.
+    folder, each process compiles the kernel again. A call raises a TypeError if an argument, such
+    as an array with a different dtype, fits no signature.
 
     A signature is a text in numba's notation, such as ``f8[:](f8[:,:], i8)`` (`_any_array` changes
     its array types), or a `Signature` of numba, which is used unchanged. A function without
-    signatures is compiled as a part of the kernels that call it. Its first call from Python waits
-    for the compiler.
+    signatures is compiled as a part of the kernels that call it, and at its first call from Python.
     """
 
     def compile_(function: Function) -> Function:
@@ -50,7 +49,7 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
         if config.DISABLE_JIT:
             return cast("Function", kernel)
         _be_part_of_callers(kernel, numba.njit(error_model="numpy", pipeline_class=_PartCompiler))
-        with suppress(OSError):  # a function without a file cannot be stored
+        with suppress(OSError, RuntimeError):  # a function without a file cannot be stored
             kernel._cache = KernelStore(kernel.py_func)
         if not signatures:
             return cast("Function", kernel)
@@ -78,10 +77,8 @@ def _rare_collections() -> Iterator[None]:
 
 
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
-    """Let compiled callers include the function instead of linking its machine code.
-
-    Otherwise numba would optimise and compile the function, link the result into a caller, and then
-    optimise and compile both again: in a chain of ten calls, the last function ten times.
+    """Let compiled callers include the function instead of linking its machine code: otherwise
+    numba would compile the last function of a chain of ten calls ten times.
     """
     part = as_part(kernel.py_func)
 
@@ -120,10 +117,8 @@ class _PartLowering(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Translation to machine code that has neither vector instructions nor unrolled loops.
-
-    Vector instructions are slower for loops of nine iterations. Unrolled loops double the size of
-    the code, which each control step has to read from memory.
+    """Translation to machine code without vector instructions, which are slower for loops of nine
+    iterations, and without unrolled loops, which would double the size of the code.
     """
 
     _name = "compact_lowering"
@@ -181,10 +176,8 @@ class _PartCompiler(_Compiler):
 
 
 def direct(kernel: Function) -> Function:
-    """The compiled code of a kernel with one signature; with ``NUMBA_DISABLE_JIT=1`` the kernel.
-
-    The code does not check the types of the arguments, because numba's check takes 2 to 3 µs per
-    call. A call with a wrong type has undefined behaviour.
+    """The compiled code of a kernel with one signature, without numba's check of types, which takes
+    2 to 3 µs: a wrong type is undefined behaviour. With ``NUMBA_DISABLE_JIT=1`` the kernel.
     """
     if config.DISABLE_JIT:
         return kernel
@@ -193,10 +186,8 @@ def direct(kernel: Function) -> Function:
 
 
 def _any_array(signature: str) -> Signature:
-    """The signature in which arrays such as `f8[:]` can have any strides and can be read-only.
-
-    The types of arrays that are declared contiguous, such as `f8[::1]`, do not change. A function
-    without a result writes into its arguments: its signature does not change.
+    """The signature in which arrays such as `f8[:]`, but not `f8[::1]`, can have any strides and be
+    read-only; it does not change for a function without a result, which writes into its arguments.
     """
     arguments, returned = sigutils.normalize_signature(signature)
     if returned != types.void:

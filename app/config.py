@@ -10,51 +10,37 @@ import math
 from collections.abc import Mapping
 from functools import cache
 from logging import getLogger
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError, model_validator
-from pydantic.fields import FieldInfo
 
 from app.errors import ConfigError, did_you_mean
 from app.strict import Strict, explain
 
 
-def number(
-    default: float,
-    low: float,
-    high: float,
-    label: str = "",
-    *,
-    advanced: bool = False,
-    source: str = "",
-) -> Any:
-    """A field of a section: a number from `low` to `high`.
+def number(default: float, low: float, high: float, label: str, **extra: bool | str) -> Any:
+    """A field of a section: a number from `low` to `high` that is displayed as `label`.
 
-    It is displayed as `label` or, without a label, by its name. The dashboard hides an `advanced`
-    parameter until the user displays all parameters. `source` is the source of the default, or a
-    reason for it.
+    `extra` are the fields `advanced` and `source` of `Parameter`.
     """
-    extra: dict[str, Any] = {"advanced": advanced, "source": source}
-    return Field(default=default, ge=low, le=high, title=label or None, json_schema_extra=extra)
+    return Field(default, ge=low, le=high, title=label, json_schema_extra={**extra})
 
 
 class Parameter(NamedTuple):
     """A tunable parameter: a number with a range, or a choice among words."""
 
-    path: str
-    """Section and name, such as `border.d_b`."""
+    path: str  # section and name, such as `border.d_b`
     default: Any
     help: str
-    label: str
-    """Displayed name, followed by the symbol if there is one, without the unit."""
-    advanced: bool  # whether the dashboard hides the parameter at first
-    source: str
-    """Source of the default, or a reason for it; empty if the default is this project's choice."""
+    label: str  # displayed name, followed by the symbol if there is one, without the unit
     unit: str  # `-` for a number without a unit, and for a choice
     low: float = math.nan  # NaN for a choice
     high: float = math.nan
-    choices: tuple[str, ...] = ()
-    """The words; empty for a number."""
+    choices: tuple[str, ...] = ()  # the words; empty for a number
+    advanced: bool = False
+    """Whether the dashboard hides the parameter until the user displays all parameters."""
+    source: str = ""
+    """Source of the default, or a reason for it; empty if the default is this project's choice."""
 
     @property
     def title(self) -> str:
@@ -77,32 +63,19 @@ class Parameter(NamedTuple):
 class Section(NamedTuple):
     """Parameters that belong together."""
 
-    name: str
-    """Name in paths, such as `border`."""
+    name: str  # name in paths, such as `border`
     title: str
-    about: str
-    """Description in one sentence."""
+    about: str  # description in one sentence
     tunables: tuple[Parameter, ...]
 
 
-def _read(section: str, name: str, field: FieldInfo) -> Parameter:
-    """The parameter that the field `name` of a section describes."""
-    unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    bounds: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
-    is_number = get_origin(field.annotation) is not Literal
-    return Parameter(
-        path=f"{section}.{name}",
-        default=field.default,
-        help=" ".join(text.split()),
-        label=field.title or name.replace("_", " ").capitalize(),
-        advanced=bool(extra.get("advanced", False)),
-        source=str(extra.get("source", "")),
-        unit=unit,
-        low=bounds["Ge"].ge if is_number else math.nan,
-        high=bounds["Le"].le if is_number else math.nan,
-        choices=() if is_number else get_args(field.annotation),
-    )
+def _read(path: str, field: dict[str, Any]) -> Parameter:
+    """The parameter that a field's JSON schema describes."""
+    unit, _, text = field["description"].removeprefix("[").partition("]")
+    low, high = field.get("minimum", math.nan), field.get("maximum", math.nan)
+    texts, choices = (" ".join(text.split()), field["title"], unit), tuple(field.get("enum", ()))
+    extra = {key: field[key] for key in ("advanced", "source") if key in field}
+    return Parameter(path, field["default"], *texts, low, high, choices, **extra)
 
 
 _TITLES = {
@@ -236,20 +209,20 @@ class TaskConfig(Strict):
     """[1/s] velocity gain of the end-effector's task."""
     ee_speed: float = number(0.5, 0.05, 2.0, "Correction speed limit")
     """[m/s] upper bound of the end-effector's correction speed; rad/s for its rotation."""
-    posture_stiffness: float = number(4.0, 0.0, 100.0)
+    posture_stiffness: float = number(4.0, 0.0, 100.0, "Posture stiffness")
     """[1/s²] stiffness of the arm's posture task. The task moves the arm towards its first measured
     posture or, after the fault `jump`, towards the posture at the newest `jump`."""
     joint_centering: float = number(8.0, 0.0, 100.0, "Joint-limit stiffness")
     """[1/s²] restoring acceleration of a joint at a position limit, divided by half of its range.
     This acceleration is proportional to the fifth power of the distance from the middle."""
-    posture_damping: float = number(4.0, 0.0, 100.0)
+    posture_damping: float = number(4.0, 0.0, 100.0, "Posture damping")
     """[1/s] damping of the arm's posture task."""
     base_damping: float = number(3.0, 0.0, 20.0, "Base damping k")
     """[1/s] k of the acceleration −k q̇_b, which brings the base to rest."""
     base_time_scale: float = number(5.0, 1.0, 100.0, "Base time scale", advanced=True)
     """[-] ratio of the time constants of the base's tasks to those of the arm's. The base's tasks
     are slower, because its velocity command has a low rate."""
-    base_weight: float = number(1000.0, 1.0, 1e6)
+    base_weight: float = number(1000.0, 1.0, 1e6, "Base weight")
     """[-] cost of the base's acceleration q̈_b relative to a joint's acceleration. For a
     differential base, q̈_b is that of the wheels. The cost is a part of the posture task or, while
     a person guides the arm, of the task that brings the base to rest."""
@@ -318,7 +291,7 @@ class AdmittanceConfig(Strict):
     """[kg m²] M_a, virtual inertia of the base's rotation."""
     damping: float = number(180.0, 0.0, 600.0, "Linear damping")
     """[N s/m] D_a, damping of the base's translation."""
-    angular_damping: float = number(160.0, 0.0, 600.0)
+    angular_damping: float = number(160.0, 0.0, 600.0, "Angular damping")
     """[N m s] D_a, damping of the base's rotation."""
     v_max: float = number(0.5, 0.05, 2.0, "Top speed v_max")
     """[m/s] largest speed command along each linear axis; the base's own limit applies if it is
@@ -346,30 +319,30 @@ class PersonConfig(Strict):
 class DisturbanceConfig(Strict):
     """Disturbances between controller and robot; none by default."""
 
-    encoder_noise: float = number(0.0, 0.0, 0.005)
+    encoder_noise: float = number(0.0, 0.0, 0.005, "Encoder noise")
     """[rad] standard deviation of the noise of each joint's measured position; m for a prismatic
     joint. With noise, the measured joint velocities are computed from the noisy positions."""
-    base_delay: float = number(0.0, 0.0, 0.5)
+    base_delay: float = number(0.0, 0.0, 0.5, "Base delay")
     """[s] additional delay from a velocity command to the base's drive."""
-    mass_error: float = number(0.0, -0.3, 0.3)
+    mass_error: float = number(0.0, -0.3, 0.3, "Mass error")
     """[-] relative error of the arm's masses and inertias in the controller's model."""
-    slip: float = number(0.0, 0.0, 0.5)
+    slip: float = number(0.0, 0.0, 0.5, "Slip")
     """[-] share of the base's commanded motion that is lost to slip."""
-    sensor_delay: float = number(0.0, 0.0, 0.05)
+    sensor_delay: float = number(0.0, 0.0, 0.05, "Sensor delay")
     """[s] age of all readings on arrival."""
-    sensor_period: float = number(0.0, 0.0, 0.05)
+    sensor_period: float = number(0.0, 0.0, 0.05, "Sensor period")
     """[s] time between two new readings; the last reading is repeated in the meantime. 0 means a
     new reading in each step."""
     dropped: float = number(0.0, 0.0, 0.9, "Dropped readings")
     """[-] share of lost readings; the last reading is repeated instead."""
-    unknown_load: float = number(0.0, 0.0, 10.0)
+    unknown_load: float = number(0.0, 0.0, 10.0, "Unknown load")
     """[kg] mass of a load at the end-effector that the controller does not include."""
-    stated_period: float = number(0.001, 0.0005, 0.008, source="paper, §4.1: 1 kHz")
+    stated_period: float = number(1e-3, 5e-4, 8e-3, "Stated period", source="paper, §4.1: 1 kHz")
     """[s] control period that the controller assumes during the whole run; the true period is
     0.001 s."""
-    time_stamps: Literal["no", "yes"] = "no"
+    time_stamps: Literal["no", "yes"] = Field(default="no", title="Time stamps")
     """[-] whether the controller gets a clock's time and the time stamps of the readings."""
-    begins: float = number(0.0, 0.0, 60.0)
+    begins: float = number(0.0, 0.0, 60.0, "Begins")
     """[s] time at which `sensor_delay`, `sensor_period`, `dropped` and `unknown_load` begin."""
 
 
@@ -404,7 +377,7 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; raises the errors of `changed`."""
+        """A copy with one changed parameter; raises the errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
@@ -420,9 +393,7 @@ class Config(Strict):
 def slowed(config: Config) -> Config:
     """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
 
-    The stiffness of the end-effector's task and k_p are divided by the square of the factor. The
-    damping of this task, k_v, rate and separation speed of the barrier, and `limit.position_rate`
-    are divided by the factor. `limit.velocity_rate` becomes the new `limit.position_rate`.
+    Both rates of joint limits become `limit.position_rate` divided by the factor.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -485,11 +456,11 @@ def sections() -> tuple[Section, ...]:
     """All sections with their parameters, from the records above."""
     found = []
     for name, section in Config.model_fields.items():
-        record = type(section.default)
-        fields = record.model_fields.items()
-        parameters = tuple(_read(name, each, field) for each, field in fields)
-        title, about = _TITLES.get(name, name.capitalize()), (record.__doc__ or "").strip()
-        found.append(Section(name, title, about, parameters))
+        schema = type(section.default).model_json_schema()
+        fields = schema["properties"].items()
+        parameters = tuple(_read(f"{name}.{each}", field) for each, field in fields)
+        title = _TITLES.get(name, name.capitalize())
+        found.append(Section(name, title, schema["description"], parameters))
     return tuple(found)
 
 

@@ -1,8 +1,4 @@
-"""A configuration as a TOML file with comments: functions that write, read and check the file.
-
-A file can omit sections and parameters. The caller can state their values; otherwise they have the
-defaults.
-"""
+"""A configuration as a TOML file with comments: functions that write, read and check the file."""
 
 import re
 from collections.abc import Sequence
@@ -25,18 +21,16 @@ _HOST = re.compile(r"[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?")
 class NamedConfig(NamedTuple):
     """The content of a configuration file."""
 
-    name: str
-    """Name of the configuration in the file, empty if there is none."""
+    name: str  # name of the configuration in the file, empty if there is none
     config: Config
-    hosts: tuple[str, ...] = ()
-    """Names in `[server] allow_host`, which only `dbb serve` uses."""
+    hosts: tuple[str, ...] = ()  # names in `[server] allow_host`, which only `dbb serve` uses
 
 
 def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> str:
     """The text of a file: value, range (or choices), unit and meaning of each parameter.
 
-    A comment marks each parameter that differs from the program's default. `hosts` are the names
-    for `[server] allow_host`. This raises the error of `checked_name`.
+    A comment marks a parameter that differs from the program's default. `hosts` are the names for
+    `[server] allow_host`. Raises the error of `checked_name`.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
@@ -66,12 +60,11 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """The content of a file from its bytes; missing parameters have the values of `usual`, by
-    default those of `Config()`.
+    """The content of a file from its bytes; missing parameters have the values of `usual` or
+    `Config()`.
 
-    Raises:
-        ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value, the
-            name or a host is invalid.
+    Raises a ConfigError if the file is too large or not TOML, a parameter is unknown, or a value,
+    the name or a host is invalid.
     """
     if (size := len(content)) > MAX_BYTES:
         raise ConfigError(f"the file has {size} bytes; a configuration has at most {MAX_BYTES}")
@@ -93,10 +86,7 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """Read a file as `decode_config` does; missing parameters have the values of `usual`.
-
-    If the file is not readable or not valid, this raises a ConfigError that names the file.
-    """
+    """Read a file as `decode_config` does; the ConfigError also names an unreadable file."""
     try:
         return decode_config(content_of(path), usual)
     except OSError as error:
@@ -106,10 +96,7 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """The name of a configuration without leading and trailing blanks.
-
-    A name with more than 60 characters or with unprintable characters raises a ConfigError.
-    """
+    """A configuration's name without outer blanks; a ConfigError if too long or unprintable."""
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise ConfigError(
@@ -119,9 +106,8 @@ def checked_name(name: str) -> str:
 
 
 def checked_host(name: str) -> str:
-    """The name of a host in the form that browsers send.
-
-    If the text is not a host name, or has further parts such as a port, this raises a ConfigError.
+    """The name of a host in the form that browsers send; a ConfigError if the text is not such a
+    name, or has further parts such as a port.
     """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()

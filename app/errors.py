@@ -122,10 +122,8 @@ extra other than `sim` also installs `sim`, and serves the package of its name i
 
 @contextmanager
 def extras_named() -> Iterator[None]:
-    """In the `with`, a MissingExtraError replaces the error of a missing module of an extra.
-
-    The message names the extra of the package of `app` that imports the module or, if that extra
-    does not install the module, the first extra that does.
+    """In the `with`, a MissingExtraError replaces the error of a missing module of an extra; it
+    names the extra of the importing package, or else the first one that installs the module.
     """
     try:
         yield

@@ -20,13 +20,9 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of each file on which a compiled kernel depends.
-
-    These are the kernel's file, the files of the compiled functions that it calls, and the files
-    that compile kernels and lay out structs. Called functions are found by their names in the
-    kernel. The kernel's constants must be in one of these files: a change of another file would not
-    change the result. A digest, unlike a time, does not change if an installation is copied. An
-    unreadable file raises an OSError.
+    """Name and digest of each file on which a compiled kernel depends: its file, those of the
+    compiled functions that it calls by name, and those that compile kernels and lay out structs.
+    The kernel's constants must be in one of them. An unreadable file raises an OSError.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
@@ -46,10 +42,8 @@ def _digest(file: Path) -> str:
 
 
 def _folders(file: str, *, make: bool) -> Iterator[Path]:
-    """The possible folders of a source file's kernels, in the order of search.
-
-    The first one is in NUMBA_CACHE_DIR, if this variable is set. `__pycache__` next to the source
-    file follows, then a folder in each of `cache_folders(make=make)`, the folders of this user.
+    """The possible folders of a source file's kernels, in the order of search: in NUMBA_CACHE_DIR,
+    if it is set, `__pycache__` next to the source file, and in each of `cache_folders(make=make)`.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:
@@ -58,27 +52,11 @@ def _folders(file: str, *, make: bool) -> Iterator[Path]:
     yield from (folder / "kernels" / subfolder for folder in cache_folders(make=make))
 
 
-class _Locator(caching._CacheLocator):
+class _Locator(caching.InTreeCacheLocator):
     """A kernel's source, described for numba, whose own locators refuse read-only folders."""
-
-    def __init__(self, function: FunctionType) -> None:
-        self._function = function
-
-    @classmethod
-    def from_function(cls, py_func: FunctionType, py_file: str) -> _Locator:
-        return cls(py_func)
-
-    def get_cache_path(self) -> str:
-        return str(Path(inspect.getfile(self._function)).parent)
 
     def ensure_cache_path(self) -> None:
         """Do nothing: the write itself shows whether the folder is writable."""
-
-    def get_source_stamp(self) -> tuple[tuple[str, str], ...]:
-        return _stamp(self._function)
-
-    def get_disambiguator(self) -> str:
-        return str(self._function.__code__.co_firstlineno)
 
 
 class _Described(caching.CompileResultCacheImpl):
@@ -98,22 +76,18 @@ class _Index(caching.IndexDataCacheFile):
 
 
 class KernelStore(caching.FunctionCache):
-    """The stored kernels of a function: read from any of `_folders`, written to a writable one.
-
-    Thus a user without write access can use the kernels that another user has compiled.
-    """
+    """The stored kernels of a function: read from any of `_folders`, written to a writable one."""
 
     _impl_class = _Described
 
+    saved = False  # whether this process has stored a compiled kernel of the function
+
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
-        self._function = function
-        self._stamp = self._impl.locator.get_source_stamp()
-        self.saved = False
-        """Whether this process has stored a compiled kernel of the function."""
+        self._stamp = _stamp(function)
 
     def _files(self, *, make: bool) -> Iterator[_Index]:
-        for folder in _folders(inspect.getfile(self._function), make=make):
+        for folder in _folders(inspect.getfile(self._py_func), make=make):
             yield _Index(str(folder), self._impl.filename_base, self._stamp)
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -188,10 +188,11 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text with `loads` (TOML or JSON), by `within_budget`.
+    """Parse an untrusted text with `loads` (TOML or JSON), by `within_budget`; `heavy` texts
+    always.
 
-    With `heavy`, even a short text has a budget. A ValueError means that the text is invalid, too
-    deeply nested or longer than a million characters, or that parsing exceeds the budget.
+    A ValueError means that the text is invalid, too deeply nested or longer than a million
+    characters, or that parsing exceeds the budget.
     """
     if len(text) > LARGEST_DATA:
         raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
@@ -239,19 +240,15 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """Name of the placeholder in a file's place, such as a Git LFS pointer, with advice; or empty.
-
-    `content` are the first 1024 bytes of the file, or more.
-    """
+    """Name of the placeholder in a file's place, with advice, by its first 1024 bytes; or empty."""
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
     return next(found, "")
 
 
 def text_of(content: bytes) -> str:
-    """Decode the text of a user's file: UTF-8, or UTF-16 with a byte order mark.
-
-    The result has no byte order mark, and only line feeds as line ends.
+    """The text of a user's file, with line feeds as line ends: UTF-8, or UTF-16 with a byte order
+    mark.
 
     A ValueError means that the file has a different encoding (the message names the line), or that
     the content is a `placeholder` and not empty.
@@ -287,10 +284,7 @@ def _slip(text: str) -> str:
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Raise a ConfigError, which names option and range, if a number is outside [low, high] or NaN.
-
-    All three numbers are in the same unit.
-    """
+    """Raise a ConfigError with option and range if a number is outside [low, high] or NaN."""
     if not low <= value <= high:
         number, lowest, highest = (
             n if isinstance(n, int) else f"{n:g}" for n in (value, low, high)

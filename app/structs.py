@@ -1,14 +1,13 @@
 """Structs of arrays and numbers that Python and compiled code share.
 
-A struct as an argument of a compiled function takes 0.01 µs per call; a tuple of arrays takes
-0.1 µs for each array. Both sides share the memory of the arrays: Python reads, without a copy, the
-values that compiled code writes. The numbers of a struct, and the arrays to which its fields refer,
-are fixed at its creation.
+A struct as an argument of a compiled function takes 0.01 µs per call; a tuple of arrays takes 0.1
+µs for each array. Both sides share the memory of the arrays. The numbers of a struct, and the
+arrays to which its fields refer, are fixed at its creation.
 """
 
 import struct
 from hashlib import sha256
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numba import extending, types
@@ -22,10 +21,8 @@ size, and allocator. Python holds one reference: compiled code never frees the m
 
 @structref.register
 class _Struct(types.StructRef):
-    """numba's type of a struct: names and types of its fields.
-
-    The type's name is short, because numba includes it in the name of every function that takes the
-    struct.
+    """numba's type of a struct; it has a short name, which numba includes in the name of every
+    function that takes the struct.
     """
 
     def __init__(self, name: str, fields: dict[str, types.Type]) -> None:
@@ -66,20 +63,18 @@ def _unbox(kind: _Struct, handle: Any, c: Any) -> extending.NativeValue:
     return extending.NativeValue(value)
 
 
-class StructType(NamedTuple):
-    """A kind of struct: its type in numba, and its fields."""
+class StructType:
+    """A kind of struct: its `type` in numba, for signatures, and the types of its `fields`."""
 
-    type: types.StructRef
-    """numba's type of the struct, for the signatures of compiled functions."""
-    fields: dict[str, types.Type]
-    """numba's type of each field: an array, f8, i8 or b1."""
+    def __init__(self, name: str, fields: dict[str, types.Type]) -> None:
+        self.type, self.fields = _Struct(name, fields), fields
 
     def made_of(self, values: Any) -> Any:
         """Make a struct from a named tuple; with ``NUMBA_DISABLE_JIT=1`` return the tuple itself.
 
         The values of the tuple have the order of `fields`. The struct owns a reference to the
-        tuple, and its arrays are views of the tuple's arrays. Therefore compiled code does not
-        count references to arrays: counting would take a fifth of a control step.
+        tuple, and its arrays are views of the tuple's arrays: compiled code does not count
+        references to them.
         """
         if config.DISABLE_JIT:
             return values
@@ -93,10 +88,8 @@ class StructType(NamedTuple):
         return handle
 
     def _packed(self, values: Any) -> bytes:
-        """The bytes of the struct: each number unchanged, each array in numba's form.
-
-        numba's form of an array consists of owner and parent (both 0), number of entries, bytes of
-        an entry, address, shape and strides.
+        """The bytes of the struct: each number unchanged, each array as owner and parent (both 0),
+        number of entries, bytes of an entry, address, shape and strides.
         """
         layout, content = "", list[Any]()
         for value, kind in zip(values, self.fields.values(), strict=True):
@@ -108,8 +101,3 @@ class StructType(NamedTuple):
                 content.append(value)
                 layout += {types.f8: "d", types.i8: "q", types.b1: "?"}[kind]
         return struct.pack(f"@{layout}0q", *content)
-
-
-def struct_type(name: str, fields: dict[str, types.Type]) -> StructType:
-    """The kind of struct with these fields."""
-    return StructType(_Struct(name, fields), fields)

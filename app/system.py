@@ -44,9 +44,8 @@ def usable_cores() -> int:
 def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    On three or more cores, the process also gets a real-time policy if possible. When it has worked
-    for 0.5 s without a pause, it leaves this policy permanently; if that fails, the system ends it
-    after 30 s without a pause. Call this function in the main thread, before other threads start.
+    On three or more cores, the process also gets a real-time policy if possible, until it works for
+    0.5 s without a pause. Call this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -71,10 +70,9 @@ def lower_priority(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit the additional processor time [s] and memory [bytes] of this process in the `with`.
-
-    Beyond the time, the system ends the process. Beyond the memory, an allocation fails; macOS has
-    no limit of the memory.
+    """Limit the additional processor time [s] and memory [bytes] of this process in the `with`:
+    beyond the time, the system ends the process; beyond the memory, except on macOS, an allocation
+    fails.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -133,9 +131,8 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End all processes of a group, if it has any; with `at_once`, they cannot clean up.
-
-    `leader` is the number of the process that leads the group; 0 is the group of this process.
+    """End all processes of the group with the number `leader`, 0 for the group of this process;
+    with `at_once`, they cannot clean up.
     """
     # The group has no process; macOS raises the second error if all its processes have ended.
     with suppress(ProcessLookupError, PermissionError):
@@ -143,10 +140,7 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock an open file or folder until it is closed, and return True.
-
-    Otherwise return False if another process has the lock, None if the file system has no locks.
-    """
+    """Lock an open file or folder until it closes; False if already locked, None if impossible."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -203,9 +197,8 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The descriptor that locks a folder; None if another has the folder or has replaced it.
-
-    If the file system has no locks, the descriptor locks nothing; with `surely` it is None.
+    """The descriptor that locks a folder; None if another has the folder or has replaced it. In a
+    file system without locks, it locks nothing; with `surely` it is None.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -238,10 +231,8 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """Resolve the links of a path.
-
-    An OutputError means that the path has a link of another user in a shared folder or more than 40
-    links, or is relative to a working folder that has been removed.
+    """Resolve the links of a path; an OutputError if it has more than 40 links or another user's
+    link in a shared folder, or is relative to a working folder that has been removed.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -255,9 +246,8 @@ def own_path(path: Path) -> Path:
             continue
         links += 1
         if links > 40 or _is_foreign(here):
-            raise OutputError(
-                f"cannot write {path}: {here} is a link of another user, or part of a circle"
-            )
+            why = f"{here} is a link of another user, or part of a circle"
+            raise OutputError(f"cannot write {path}: {why}")
         target = here.readlink()
         found = Path("/") if target.is_absolute() else found
         parts[:0] = [each for each in target.parts if each != "/"]
@@ -274,16 +264,15 @@ def _is_foreign(link: Path) -> bool:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
-    Thus no reader sees an incomplete file. If `path` is a link of this user, the link remains, and
-    the new file replaces its target. If the file cannot be written, this raises an OutputError, and
-    the previous file remains.
+    No reader sees an incomplete file. If `path` is a link of this user, the file replaces the
+    target of the link. If the file cannot be written, this raises an OutputError, and the previous
+    file remains.
     """
     try:
         real = own_path(path)
         if is_no_file(real):
-            raise OutputError(
-                f"cannot write {path}: it is a folder, a device, a pipe or a mount point"
-            )
+            why = "it is a folder, a device, a pipe or a mount point"
+            raise OutputError(f"cannot write {path}: {why}")
         with unfinished_folder(real.parent) as folder:
             beside = folder / path.name
             yield beside
@@ -296,10 +285,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """Yield a temporary folder that becomes `out` if the `with` raises no error.
-
-    An OutputError means that `out` exists and is not an empty folder, is a mount point or cannot be
-    written, or that another process is making it.
+    """Yield a temporary folder that becomes `out` if the `with` raises no error; an OutputError if
+    `out` is not an empty folder, a mount point or not writable, or another process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -332,17 +319,8 @@ def write_whole(path: Path, content: bytes | str) -> None:
         beside.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def peak_memory() -> float:
-    """[MB] peak memory of this process."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6  # Linux: in KiB
-
-
 def return_freed_memory_early() -> None:
-    """Make glibc return freed memory to the system early; other C libraries do this anyway.
-
-    From then on, each block above 128 KiB is mapped on its own, and all threads share one heap.
-    """
+    """Make glibc return freed memory to the system early; other C libraries do this anyway."""
     _call_c("mallopt", -3, 2**17)  # M_MMAP_THRESHOLD [bytes]
     _call_c("mallopt", -8, 1)  # M_ARENA_MAX
 
@@ -366,10 +344,8 @@ def home_expanded(path: str) -> Path:
 
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
-    """This user's cache folders: the standard one, then one in the folder for temporary files.
-
-    A user without a home directory has only the temporary one. With `make`, the temporary one is
-    created when the iteration arrives at it. If it cannot be used, it is left out.
+    """This user's cache folders: the standard one, if the user has a home, then one in the folder
+    for temporary files, which `make` creates, if it can be used.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -397,11 +373,10 @@ def _private_folder(shared: Path, *, make: bool = True) -> Path:
 
 
 def open_standard_files() -> None:
-    """Open standard input, output and error as null devices if the parent process closed them.
+    """Open standard input, output and error as null devices if the parent process closed them;
+    otherwise the next file, pipe or socket would receive printed text.
 
-    Otherwise the next file, pipe or socket would receive printed text. Text for a closed standard
-    output raises an OSError, because a result would be lost. Codes replace the characters that the
-    encoding of standard output lacks.
+    Text for a closed output raises an OSError. Codes replace characters that its encoding lacks.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number
@@ -412,10 +387,8 @@ def open_standard_files() -> None:
 
 
 def set_missing_folders() -> None:
-    """Set a writable temporary folder and a home for this program and its children, if missing.
-
-    In a container, /dev/shm is often the only writable folder, and the user may have no home, which
-    browsers need to start.
+    """Set a writable temporary folder, and a home for browsers, if missing in this environment;
+    often only /dev/shm is writable in a container.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
@@ -430,10 +403,7 @@ def set_missing_folders() -> None:
 
 @contextmanager
 def decimal_points() -> Iterator[None]:
-    """Make C libraries read numbers with decimal points in this thread, during the `with`.
-
-    GUI libraries can set a locale of decimal commas; C libraries would then read 0.5 as 0.
-    """
+    """Make C libraries of this thread read decimal points, also if a GUI has set decimal commas."""
     library = _c_library()
     if library is None or not hasattr(library, "uselocale"):
         yield

@@ -16,7 +16,9 @@ from app.avoidance.closest_points import (
     _core,
     mean_nearest,
 )
-from app.robot.link_pairs import Pair, with_parts
+from app.border.dbb import Border
+from app.border.nearest import OffsetContours, border_struct, nearest_border
+from app.robot.link_pairs import Pair
 from app.robot.shapes import Capsule, Sphere
 from app.robot.state import RobotState
 
@@ -38,7 +40,28 @@ class Nearest(NamedTuple):
     def closest(self, i: int) -> ClosestPoints:
         """The closest points of the i-th pair, with its parts."""
         found = [ClosestPoints(self.pairs[i], self.d[k], *self.points[k]) for k in self.rows[i]]
-        return with_parts(*found)
+        return found[0]._replace(parts=tuple(found[1:]))
+
+
+class Foot(NamedTuple):
+    """The border point nearest to a query point, among those at its height; in the base's frame."""
+
+    p: Array
+    """(3,) [m] the point of the border."""
+    t: Array
+    """(3,) horizontal unit tangent there; on the surface, l_m is on its left."""
+
+
+class BorderSearch:
+    """The search of a border for the point nearest to a query point."""
+
+    def __init__(self, offset: OffsetContours, borders: Sequence[Border] = ()) -> None:
+        self._border = border_struct(offset, borders)
+
+    def nearest(self, p: Array) -> Foot | None:
+        """The border point of the first pair nearest to p (3,) [m]; None if l_m has no border."""
+        foot = Foot(*nearest_border(self._border, 0, np.ascontiguousarray(p, dtype=float)))
+        return None if np.isnan(foot.p[0]) else foot
 
 
 class SmoothMonitor(DistanceMonitor):
@@ -52,7 +75,7 @@ class SmoothMonitor(DistanceMonitor):
         points = smooth_points(smooth, self._state, blend)
         d = np.empty(len(points))
         self._distances.write_distances(d)
-        return Nearest(pairs, smooth.joints, smooth.rows, d, points)
+        return Nearest(pairs, smooth.arrays["pair_joints"], smooth.rows, d, points)
 
 
 def smooth_points(smooth: SmoothPoints, state: RobotState, blend: float) -> Array:

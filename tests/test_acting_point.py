@@ -7,8 +7,8 @@ import pytest
 
 from app.avoidance.acting_point import ActingPointFinder, step_size, tangential_step
 from app.border.dbb import Border
-from app.border.nearest import BorderSearch
-from app.border.offset import OffsetContours
+from app.border.nearest import OffsetContours, border_struct
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
 from app.config import ForceConfig
 from app.robot.model import RobotModel
@@ -19,7 +19,7 @@ FORCE = ForceConfig()
 
 @pytest.fixture(scope="module")
 def offset(robot: RobotModel) -> OffsetContours:
-    return OffsetContours(robot, D_B)
+    return offset_contours(robot, D_B)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def finder(
     request: pytest.FixtureRequest, offset: OffsetContours, field: ScoreField
 ) -> ActingPointFinder:
     borders = [dense_border(offset)] if request.param == "points" else []
-    return ActingPointFinder(BorderSearch(offset.table, borders), field)
+    return ActingPointFinder(border_struct(offset, borders), field)
 
 
 def alpha(d: float, score: float, force: ForceConfig) -> float:
@@ -95,7 +95,7 @@ def test_exact_offset_replaces_a_height_without_border_points(
     offset: OffsetContours, field: ScoreField
 ) -> None:
     empty = Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)))
-    finder = ActingPointFinder(BorderSearch(offset.table, [empty]), field)
+    finder = ActingPointFinder(border_struct(offset, [empty]), field)
     acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05), 0.05, FORCE)
     assert acting is not None
     assert acting.p_n[1] == pytest.approx(0.345 + D_B, abs=1e-4)

@@ -9,7 +9,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
-from app.border.offset import OffsetContours
+from app.border.offset import offset_contours
 from app.config import Config
 from app.control.controller import ControlLoop
 from app.robot.model import RobotModel
@@ -81,7 +81,7 @@ def test_floor_times_the_library_calls_and_solves_one_qp(recorded, robot, border
 
 
 def test_synthetic_points_lie_on_the_offset_surface(robot: RobotModel) -> None:
-    points = points_on(OffsetContours(robot, 0.15), 3000, np.random.default_rng(0))
+    points = points_on(offset_contours(robot, 0.15), 3000, np.random.default_rng(0))
     distances = MobileBody(robot).distance(points)
     assert np.abs(distances - 0.15).max() < 1.5e-3  # chords between heights
 

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 
 from app.border.mobile import MobileBody, Shapes
-from app.border.nearest import BorderSearch
-from app.border.offset import OffsetContours
+from app.border.nearest import OffsetContours
+from app.border.offset import offset_contours
 from app.robot.shapes import Box, convex_hull
-from tests.nearest import Placed
+from tests.nearest import BorderSearch, Placed
 from tests.robots import husky_panda, with_mobile_shapes
 
 HALF, CENTRE = np.array([0.495, 0.345, 0.19015]), np.array([0.0, 0.0, 0.1902])  # [m]
@@ -26,26 +26,31 @@ def lifted(xy: np.ndarray, z: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="module", params=[0.06, 0.15, 0.30])
-def offset(request) -> OffsetContours:
-    return OffsetContours(husky_panda(), request.param)
+def d_b(request) -> float:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def offset(d_b: float) -> OffsetContours:
+    return offset_contours(husky_panda(), d_b)
 
 
 def vertices(offset: OffsetContours) -> np.ndarray:
     """(H, R + 1, 2) [m] the vertices of all rings."""
-    return np.stack([offset.table.vertices.real, offset.table.vertices.imag], axis=-1)
+    return np.stack([offset.vertices.real, offset.vertices.imag], axis=-1)
 
 
-def test_every_vertex_is_at_the_buffer_distance(offset):
-    for z, ring in zip(offset.table.heights, vertices(offset), strict=True):
-        np.testing.assert_allclose(box_distance(lifted(ring, z)), offset.d_b, atol=2e-6)
+def test_every_vertex_is_at_the_buffer_distance(offset, d_b):
+    for z, ring in zip(offset.heights, vertices(offset), strict=True):
+        np.testing.assert_allclose(box_distance(lifted(ring, z)), d_b, atol=2e-6)
 
 
-def test_edges_at_interpolated_heights_deviate_by_at_most_a_millimetre(offset):
+def test_edges_at_interpolated_heights_deviate_by_at_most_a_millimetre(offset, d_b):
     rng = np.random.default_rng(0)
-    for z in rng.uniform(0.0, TOP + offset.d_b - 1e-3, 200):
+    for z in rng.uniform(0.0, TOP + d_b - 1e-3, 200):
         (ring,) = offset.contours(z)
         between = (ring[1:] + ring[:-1]) / 2
-        np.testing.assert_allclose(box_distance(lifted(between, z)), offset.d_b, atol=1e-3)
+        np.testing.assert_allclose(box_distance(lifted(between, z)), d_b, atol=1e-3)
 
 
 def test_contours_are_closed_counter_clockwise_and_symmetric(offset):
@@ -58,8 +63,7 @@ def test_contours_are_closed_counter_clockwise_and_symmetric(offset):
         np.testing.assert_allclose(ring, (ring * [1, -1])[::-1], atol=5e-6)
 
 
-def test_contours_above_the_top_shrink_and_end_at_the_buffer_distance(offset):
-    d_b = offset.d_b
+def test_contours_above_the_top_shrink_and_end_at_the_buffer_distance(offset, d_b):
     for h in np.linspace(0.0, 0.95 * d_b, 10):
         across = np.abs(offset.contours(TOP + h)[0][:, 1]).max()
         assert across == pytest.approx(0.345 + np.sqrt(d_b**2 - h**2), abs=1e-3)
@@ -67,11 +71,11 @@ def test_contours_above_the_top_shrink_and_end_at_the_buffer_distance(offset):
     assert offset.contours(-1e-3) == []
 
 
-def test_nearest_point_is_as_far_as_the_polygon_within_1_5_mm(offset):
+def test_nearest_point_is_as_far_as_the_polygon_within_1_5_mm(offset, d_b):
     rng = np.random.default_rng(1)
     share = np.linspace(0, 1, 200)[:, None, None]
     for _ in range(100):
-        p, z = rng.uniform(-1.2, 1.2, 2), rng.uniform(0, TOP + offset.d_b - 2e-3)
+        p, z = rng.uniform(-1.2, 1.2, 2), rng.uniform(0, TOP + d_b - 2e-3)
         (ring,) = offset.contours(z)
         dense = (ring[:-1] + share * (ring[1:] - ring[:-1])).reshape(-1, 2)
         least = np.linalg.norm(dense - p, axis=1).min()
@@ -83,17 +87,17 @@ def test_nearest_point_is_as_far_as_the_polygon_within_1_5_mm(offset):
         assert np.cross([*xy, 0.0], [*tangent, 0.0])[2] > 0  # counter-clockwise
 
 
-def test_nearest_point_agrees_with_a_search_over_all_edges(offset):
+def test_nearest_point_agrees_with_a_search_over_all_edges(offset, d_b):
     rng = np.random.default_rng(3)
     for _ in range(60):
-        p, z = rng.uniform(-1.2, 1.2, 2), float(rng.uniform(0, TOP + offset.d_b - 2e-3))
+        p, z = rng.uniform(-1.2, 1.2, 2), float(rng.uniform(0, TOP + d_b - 2e-3))
         found, _ = nearest(offset, p, z)
         np.testing.assert_allclose(found, nearest_by_edges(offset, p, z), rtol=1e-9, atol=1e-11)
 
 
 def nearest(offset: OffsetContours, p: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray]:
     """(2,) [m] the border point nearest to p (2,) [m] at height z, and (2,) its unit tangent."""
-    foot = BorderSearch(offset.table).nearest(np.array([*p, z]))
+    foot = BorderSearch(offset).nearest(np.array([*p, z]))
     assert foot is not None
     assert foot.p[2] == z
     assert foot.t[2] == 0.0
@@ -102,7 +106,7 @@ def nearest(offset: OffsetContours, p: np.ndarray, z: float) -> tuple[np.ndarray
 
 def nearest_by_edges(offset: OffsetContours, p: np.ndarray, z: float) -> np.ndarray:
     """`nearest` without the tangent, by bisection on each edge with its interpolated tangent."""
-    heights, rings = offset.table.heights, vertices(offset)
+    heights, rings = offset.heights, vertices(offset)
     k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
     share = (z - heights[k]) / (heights[k + 1] - heights[k])
     corners = (1 - share) * rings[k] + share * rings[k + 1]
@@ -127,17 +131,17 @@ def vertex_tangents(ring: np.ndarray) -> np.ndarray:
     return np.concatenate([tangents, tangents[:1]])
 
 
-def test_tangent_beside_a_flat_side_is_parallel_to_the_side(offset):
+def test_tangent_beside_a_flat_side_is_parallel_to_the_side(offset, d_b):
     xy, tangent = nearest(offset, np.array([0.1, 1.0]), 0.2)
-    np.testing.assert_allclose(xy, [0.1, 0.345 + offset.d_b], atol=1e-5)
+    np.testing.assert_allclose(xy, [0.1, 0.345 + d_b], atol=1e-5)
     np.testing.assert_allclose(tangent, [-1.0, 0.0], atol=1e-5)
 
 
 def test_shape_inside_another_changes_nothing():
     whole, inner = Box(type="box", size_m=(0.9, 0.6, 0.4)), Box(type="box", size_m=(0.5, 0.4, 0.4))
-    one = OffsetContours(with_mobile_shapes((whole,)), 0.15)
-    two = OffsetContours(with_mobile_shapes((inner, whole)), 0.15)
-    rows = slice(two.table.firsts[1])  # those of the larger shape
+    one = offset_contours(with_mobile_shapes((whole,)), 0.15)
+    two = offset_contours(with_mobile_shapes((inner, whole)), 0.15)
+    rows = slice(two.firsts[1])  # those of the larger shape
     np.testing.assert_array_equal(vertices(one), vertices(two)[rows])
     p = np.array([0.1, 0.35])
     for a, b in zip(nearest(one, p, 0.2), nearest(two, p, 0.2), strict=True):

@@ -9,11 +9,12 @@ from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resul
 from app.border.cache import BorderData
 from app.border.dbb import Border, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderSearch
-from app.border.offset import OffsetContours
+from app.border.nearest import OffsetContours
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
 from app.config import ForceConfig
 from app.robot.model import RobotModel
+from tests.nearest import BorderSearch
 
 D_B = 0.15  # [m]
 FORCE = ForceConfig()
@@ -21,12 +22,12 @@ FORCE = ForceConfig()
 
 @pytest.fixture(scope="module")
 def offset(robot: RobotModel) -> OffsetContours:
-    return OffsetContours(robot, D_B)
+    return offset_contours(robot, D_B)
 
 
 @pytest.fixture(scope="module")
 def surface(offset: OffsetContours) -> BorderSearch:
-    return BorderSearch(offset.table)
+    return BorderSearch(offset)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def border(border_data: BorderData) -> Border:
 
 @pytest.fixture(scope="module")
 def points(border: Border, offset: OffsetContours) -> BorderSearch:
-    return BorderSearch(offset.table, [border])
+    return BorderSearch(offset, [border])
 
 
 def random_path(seed: int, steps: int) -> np.ndarray:

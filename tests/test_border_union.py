@@ -9,13 +9,14 @@ from scipy.spatial import cKDTree
 from app.border.cache import load_border_data
 from app.border.dbb import make_cloud
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderSearch, level
-from app.border.offset import OffsetContours
+from app.border.nearest import OffsetContours, level
+from app.border.offset import offset_contours
 from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Hull
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import scenario_by_name
+from tests.nearest import BorderSearch
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
@@ -54,7 +55,7 @@ def towered() -> RobotModel:
 
 @pytest.fixture(scope="module")
 def offset(towered: RobotModel) -> OffsetContours:
-    return OffsetContours(towered, D_B)
+    return offset_contours(towered, D_B)
 
 
 def dense_border(z: float) -> np.ndarray:
@@ -76,7 +77,7 @@ def dense_border(z: float) -> np.ndarray:
 @pytest.mark.parametrize("z", [0.05, 0.2, 0.41, 0.5, 0.525, 0.56, 0.9, 1.06, 1.13, 1.2])
 def test_nearest_point_agrees_with_a_dense_search(offset: OffsetContours, z: float):
     """At heights with one contour, with several contours, and with the tower alone."""
-    surface = BorderSearch(offset.table)
+    surface = BorderSearch(offset)
     border = dense_border(z)
     for p in np.random.default_rng(0).uniform([-0.8, -0.6], [0.8, 0.6], (150, 2)):
         foot = surface.nearest(np.array([*p, z]))
@@ -85,16 +86,16 @@ def test_nearest_point_agrees_with_a_dense_search(offset: OffsetContours, z: flo
 
 
 def test_nearest_points_are_on_the_exact_offset(offset: OffsetContours):
-    surface = BorderSearch(offset.table)
+    surface = BorderSearch(offset)
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.3], (3000, 3))
     feet = np.array([surface.nearest(p).p for p in points])
-    feet[:, 2] = [level(offset.table.firsts, offset.table.heights, z) for z in points[:, 2]]
+    feet[:, 2] = [level(offset.firsts, offset.heights, z) for z in points[:, 2]]
     assert np.abs(distance(feet) - D_B).max() < 0.001
 
 
 def test_tangent_is_perpendicular_and_has_the_base_on_its_left(offset: OffsetContours):
-    surface = BorderSearch(offset.table)
+    surface = BorderSearch(offset)
     for p in np.random.default_rng(2).uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.2], (500, 3)):
         foot = surface.nearest(p)
         assert np.linalg.norm(foot.t) == pytest.approx(1.0)
@@ -109,7 +110,7 @@ def test_distance_to_the_border_changes_no_faster_than_the_point_moves(offset: O
 
     The heights avoid the horizontal pieces of the offset, where the distance may jump too.
     """
-    surface = BorderSearch(offset.table)
+    surface = BorderSearch(offset)
     rng = np.random.default_rng(3)
     for _ in range(40):
         z = rng.choice([0.1, 0.3, 0.45, 0.52, 0.6, 1.1]) + rng.uniform(-0.004, 0.004)
@@ -127,7 +128,7 @@ def test_foot_and_tangent_are_continuous_off_the_medial_axis(offset: OffsetConto
 
     Where two border points are equally near, the foot jumps, but its distance does not.
     """
-    surface = BorderSearch(offset.table)
+    surface = BorderSearch(offset)
     depth = 0.05
     outline = {0.2: None, 0.45: (0.495, 0.0), 0.8: (-0.37, 0.02)}[z]
     turn = np.linspace(0.0, 2 * np.pi, 40001)
@@ -150,10 +151,10 @@ def test_foot_and_tangent_are_continuous_off_the_medial_axis(offset: OffsetConto
 def test_two_towers_give_two_contours_and_a_frame_has_an_inner_one():
     half = np.array([0.1, 0.1, 0.3])
     towers = (box(np.array([0.6, 0.0, 0.3]), half), box(np.array([-0.6, 0.0, 0.3]), half))
-    offset = OffsetContours(with_mobile_shapes(towers), D_B)
+    offset = offset_contours(with_mobile_shapes(towers), D_B)
     assert len(offset.contours(0.2)) == 2
     for x in (0.4, -0.4):
-        found = BorderSearch(offset.table).nearest(np.array([x, 0.0, 0.2]))
+        found = BorderSearch(offset).nearest(np.array([x, 0.0, 0.2]))
         assert found.p[:2] == pytest.approx([np.sign(x) * 0.35, 0.0], abs=1e-3)
     sides = [((0.5, 0.0), (0.05, 0.55)), ((0.0, 0.5), (0.55, 0.05))]
     frame = [
@@ -161,8 +162,8 @@ def test_two_towers_give_two_contours_and_a_frame_has_an_inner_one():
         for c, h in sides
         for s in (1.0, -1.0)
     ]
-    offset = OffsetContours(with_mobile_shapes(tuple(frame)), D_B)
-    within = BorderSearch(offset.table).nearest(np.array([0.25, 0.1, 0.2]))
+    offset = offset_contours(with_mobile_shapes(tuple(frame)), D_B)
+    within = BorderSearch(offset).nearest(np.array([0.25, 0.1, 0.2]))
     assert within.p[:2] == pytest.approx([0.3, 0.1], abs=1e-3)  # 0.45 m less d_b
     assert within.t[:2] == pytest.approx([0.0, -1.0], abs=1e-3)
 
@@ -180,15 +181,15 @@ def test_offset_of_shapes_of_any_kind_is_at_the_buffer_distance():
         ),
     )
     model = with_mobile_shapes(shapes)
-    body, offset = MobileBody(model), OffsetContours(model, D_B)
-    _, heights, vertices, _, visible, _ = offset.table
-    assert len(offset.table.firsts) == 4 + 1
+    body, offset = MobileBody(model), offset_contours(model, D_B)
+    _, heights, vertices, _, visible, _ = offset
+    assert len(offset.firsts) == 4 + 1
     for z, ring, shown in list(zip(heights, vertices, visible, strict=True))[::5]:
         d = body.distance(np.column_stack([ring.real, ring.imag, np.full(len(ring), z)])[::4])
         np.testing.assert_allclose(d[shown[::4] > 4e-6], D_B, atol=2e-6)
         assert (d[shown[::4] < 0.0] < D_B + 4e-6).all()
     points = np.random.default_rng(4).uniform([-0.7, -0.6, 0.0], [0.7, 0.6, 1.2], (400, 3))
-    feet = [BorderSearch(offset.table).nearest(p) for p in points]
+    feet = [BorderSearch(offset).nearest(p) for p in points]
     lifted = np.array([foot.p for foot in feet])
     assert np.abs(body.distance(lifted) - D_B).max() < 0.002
 

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from app.dashboard.export.browser import new_context
-from app.dashboard.job import FILM_RATE
+from app.dashboard.export.offscreen import RATE
 from app.simulation.trace.log_file import read_trace
 from tests.browser import HELPERS, DashboardTab, wait_for
 from tests.dashboards import served_dashboard
@@ -147,4 +147,4 @@ def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
         tab.set_slider(name, pixels)
     with Image.open(download(tab, "Film", tmp_path)) as film:
         assert (film.format, film.size) == ("GIF", (160, 90))
-        assert film.n_frames == round((END - BEGIN) * FILM_RATE) + 1
+        assert film.n_frames == round((END - BEGIN) * RATE) + 1

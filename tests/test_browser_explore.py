@@ -8,7 +8,7 @@ from app.config import Config
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.explorer import Explorer, Posture
 from app.dashboard.scene.borders import Borders, DrawnBorders
-from app.dashboard.scene.camera import ANY_WINDOW, lens_of
+from app.dashboard.scene.camera import Window, lens_of
 from app.dashboard.view import View
 from app.simulation.loop.commands import Pause, Reset
 from app.simulation.loop.ensemble import Ensemble
@@ -26,7 +26,7 @@ def test_probe_shows_the_foremost_border_point_and_the_base_response(robot, bord
         drawn = DrawnBorders(server.scene, borders, robot)
         drawn.update(View.first(["lm-lEE"], []), snapshot.config.border)
         eye, target = np.array([3.0, 0.0, 0.25]), np.array([0.0, 0.0, 0.25])
-        lens = lens_of(eye, target, 800.0, ANY_WINDOW)
+        lens = lens_of(eye, target, 800.0, Window())
         probe = drawn._find(snapshot, lens, (0.0, 0.0))
         assert probe is not None
         assert probe.p[0] > 0.5, "the point must be on the front, not on the rear"

@@ -12,7 +12,7 @@ import pytest
 from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.config import Config
-from app.control.buffer_need import RESERVE, Approach, buffer_need, least_distance
+from app.control.buffer_need import RESERVE, Approach, _bound, _ways, buffer_need
 from app.control.buffer_watch import (
     BufferReading,
     BufferWatch,
@@ -33,6 +33,15 @@ FRONT = np.array([1.0, 0.0, 0.0]), np.array([0.65, 0.0, 0.4])
 SIDE = np.array([0.0, 1.0, 0.0]), np.array([0.33, 0.45, 0.4])
 PLACES = [FRONT, SIDE, (np.array([0.6, -0.7, 0.39]), np.array([0.6, -0.5, 0.4]))]
 DT = 0.001  # [s]
+
+
+def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
+    """(k,) [m] lower bound of the distance between arm and base, for each d_b (k,) [m] > d_full.
+
+    The bound is −∞ if the base cannot reach the speed `approach.v` at any distance within d_b.
+    """
+    ways = list(_ways(approach, base, config))
+    return np.array([max(_bound(each, *way) for way in ways) for each in d_b])
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation import plants
 from app.simulation.plants import PLANTS, chosen_plant, default_plant, make_physics
-from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
-from app.simulation.plants.planar import planar_plant
+from app.simulation.plants.planar import SAME_DEPTH, SAME_PICTURE, Planar, compare_engines
 from tests.robots import husky_panda
 
 NOBODY = np.zeros(3)
@@ -48,7 +47,7 @@ def test_engines_agree_on_pictures_and_contacts(name: str):
 def test_mass_matrix_and_bias_forces_agree_with_pinocchio(name: str, engine: str):
     model, rng = installed(name), np.random.default_rng(1)
     state, n_b = RobotState(model), model.n_b
-    other = planar_plant(engine, model)
+    other = Planar(engine, model)
     for _ in range(20):
         q_m, qd = rng.uniform(model.q_lower, model.q_upper), rng.uniform(-1, 1, model.n)
         state.update(Measurement(NOBODY, model.J_m @ qd[:n_b], q_m, qd[n_b:]))
@@ -62,7 +61,7 @@ def test_mass_matrix_and_bias_forces_agree_with_pinocchio(name: str, engine: str
 def test_step_from_rest_obeys_the_equation_of_motion_with_a_fixed_base(name: str):
     """One step of dt from rest gives the velocity q̈_a dt."""
     model, rng = installed(name), np.random.default_rng(2)
-    plant, state, n_b = planar_plant("mujoco", model), RobotState(model), model.n_b
+    plant, state, n_b = Planar("mujoco", model), RobotState(model), model.n_b
     free = 0
     while free < 5:
         q_m = model.q_lower + rng.uniform(0.1, 0.9, model.n_m) * (model.q_upper - model.q_lower)

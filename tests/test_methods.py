@@ -13,7 +13,7 @@ from app.control.quantities import ControlStep
 from app.control.tasks import Reference
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import Measurement, RobotState, point_bias
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session
@@ -98,7 +98,8 @@ def test_fully_active_repulsion_realises_the_closest_points_acceleration(
     J, b = output.J_sca[rows], output.b_sca[rows]
     assert not J[:, :2].any()
     np.testing.assert_allclose(J @ realised(controller, output), b, atol=1e-2)
-    xdd = b + controller.state.point_bias(joint, output.p_b[0])
+    state = controller.state
+    xdd = b + np.array(point_bias(state.twists[joint], state.biases[joint], output.p_b[0]))
     np.testing.assert_allclose(xdd + 30.0 * (J @ output.qd), 3.0 * output.normal[0], atol=1e-9)
 
 

@@ -27,7 +27,7 @@ from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.collision_shapes import link_contact_pairs
-from app.simulation.plants.planar import planar_plant
+from app.simulation.plants.planar import Planar
 from tests.onboarding import arm, cart, joint, link, robot, solid, write
 from tests.robots import needs_pybullet
 
@@ -210,7 +210,7 @@ def check_contacts(toy: Toy, engine: str, others: range) -> None:
     q_m = toy.meetings.random.q_m
     free, hit = q_m[gaps > 0.01][:40], q_m[gaps < -0.01][:40]
     assert len(free) == len(hit) == 40
-    plant, state = planar_plant(engine, toy.model), RobotState(toy.model)
+    plant, state = Planar(engine, toy.model), RobotState(toy.model)
     for postures, expected in ((free, False), (hit, True)):
         for posture in postures:
             plant.reset(np.zeros(3), posture)

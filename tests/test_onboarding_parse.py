@@ -24,7 +24,7 @@ from app.onboarding.warn import held_still, wheels_carried
 from app.onboarding.write import compiled, description, rebased_urdf
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import collision_shapes
-from app.simulation.plants.engines import SAME_PICTURE, compare_engines
+from app.simulation.plants.planar import SAME_PICTURE, compare_engines
 from tests.onboarding import (
     ARM_JOINTS,
     BOX,

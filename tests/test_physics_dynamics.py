@@ -10,7 +10,7 @@ import trimesh
 from app.robot.assets import resolved_urdf
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.plants.planar import planar_plant
+from app.simulation.plants.planar import Planar
 from tests.robots import husky_panda, random_measurement
 
 pybullet = pytest.importorskip("pybullet")
@@ -21,7 +21,7 @@ TOLERANCE = {"rtol": 1e-9, "atol": 1e-9}
 
 @pytest.fixture(scope="module")
 def plant():
-    plant = planar_plant("pybullet", husky_panda())
+    plant = Planar("pybullet", husky_panda())
     yield plant
     plant.close()
 
@@ -123,7 +123,7 @@ def test_fixed_links_do_not_count_towards_the_limit_of_the_engine(tmp_path):
     state, q_m = RobotState(model), np.array(known.arm.ready_position)
     qd = np.linspace(-0.5, 0.5, model.n_b + model.n_m)
     state.update(Measurement(np.zeros(3), model.J_m @ qd[: model.n_b], q_m, qd[model.n_b :]))
-    plant = planar_plant("pybullet", model)
+    plant = Planar("pybullet", model)
     try:
         plant.reset(np.zeros(3), q_m)
         np.testing.assert_array_equal(plant.measure().q_m, q_m)
@@ -145,4 +145,4 @@ def test_mesh_without_thickness_loads_in_mujoco(tmp_path):
     first, _, others = rest.partition("</link>")
     path.write_text(head + link + first + mesh + others, encoding="utf-8")
     model = RobotModel(known.model_copy(update={"urdf": str(path)}))
-    planar_plant("mujoco", model).close()
+    Planar("mujoco", model).close()

@@ -15,7 +15,7 @@ from app.dashboard.panels import save
 from app.dashboard.panels.run import course_html
 from app.dashboard.panels.save import SavePanel
 from app.dashboard.record import BIN, HISTORY, SPACING, Course, Strip, Track
-from app.dashboard.scene.scene import SceneData
+from app.dashboard.shared import SharedState
 from app.errors import UnreachableError
 from app.robot.description import load_robot
 from app.simulation.case import RunCase, RunSpec
@@ -39,7 +39,7 @@ class Past:
 
     def __init__(self, snapshot, recorder):
         self._snapshots = [snapshot]
-        self._data = SceneData(self, husky_panda(), {}, parts=object())
+        self._data = SharedState(self, husky_panda(), {}, parts=object())
         self._data.keepers = [recorder]
 
     def extend(self, snapshots):

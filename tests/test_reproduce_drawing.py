@@ -65,7 +65,7 @@ def test_a_figure_is_written_as_a_picture_with_its_tables(tmp_path):
         figure = style.new_figure(4.0)
         figure.subplots().plot([0, 1], [0, 1])
     table = {"a_m": np.arange(2.0)}
-    paths = Drawing(figure, {"": table, "more": table}).write(tmp_path, "fig0", "t")
+    paths = Drawing(figure, {"": table, "more": table}, {}).write(tmp_path, "fig0", "t")
     assert [path.name for path in paths] == ["fig0.png", "fig0.csv", "fig0_more.csv"]
     picture = Image.open(io.BytesIO(paths[0].read_bytes()))
     assert picture.size == (round(style.WIDTH * style.DPI), round(4.0 * style.DPI))

@@ -174,7 +174,7 @@ def test_too_large_a_step_loses_the_component_along_the_line(drawn):
 
 
 def test_drawn_instant_has_the_least_distance(drawn, sources: Sources):
-    force = method.force_at(sources, LATERAL, method.deepest(sources))
+    force = method.force_at(sources, LATERAL, int(sources.distances(LATERAL).argmin()))
     d = sources.runs[LATERAL].trace["d_lm-lEE_m"]
     assert force.closest.d == pytest.approx(d.min(), abs=1e-9)
     height = drawn["fig8"].tables[""]["z_m"]
@@ -185,7 +185,7 @@ def test_instant_of_figure_7_shows_both_components(sources: Sources):
     def smaller(force: method.Force) -> float:
         return min(float(np.linalg.norm(v)) for v in force.components)
 
-    deepest = method.force_at(sources, LATERAL, method.deepest(sources))
+    deepest = method.force_at(sources, LATERAL, int(sources.distances(LATERAL).argmin()))
     assert smaller(method.turning(sources)) >= smaller(deepest) - 1.0 > 0.0
 
 
@@ -232,7 +232,7 @@ def test_thinned_border_is_a_sorted_subset(sources: Sources):
 def test_border_of_a_thinned_cloud_has_the_same_share_of_points(sources: Sources):
     cloud = sources.data.clouds["lm-lEE"]
     whole = len(construct_dbb(cloud, 0.15, 0.01))
-    thin = len(construct_dbb(density.thinned_cloud(cloud, 0.4), 0.15, 0.01))
+    thin = len(construct_dbb(density.thinned(cloud, round(0.4 * len(cloud))), 0.15, 0.01))
     assert thin == pytest.approx(0.4 * whole, rel=0.03)
 
 

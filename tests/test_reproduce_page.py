@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from base64 import b64decode
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -33,7 +32,7 @@ def section(tmp_path: Path):
         figure = style.picture(name, "Figure 1: a & b")(draw)
         picture = tmp_path / f"{name}.png"
         picture.write_bytes(PNG)
-        return figure_part(figure, replace(drawing, **changes), [picture])
+        return figure_part(figure, drawing._replace(**changes), [picture])
 
     return make
 

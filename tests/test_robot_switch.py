@@ -384,11 +384,11 @@ def test_shared_data_that_cannot_be_built_does_not_block_the_change(
         loop, husky_panda(), clouds(), port=0, parts=parts(), start_loop=Loops()
     )
 
-    def fails(*_: object) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a defect")
 
     try:
-        monkeypatch.setattr(server.shared, "followed_by", fails)
+        monkeypatch.setattr("app.dashboard.server.SharedState", fails)
         choose(server, OTHER)
         wait_for(lambda: server.error is not None, what="the end of drawing")
     finally:

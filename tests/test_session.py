@@ -216,20 +216,20 @@ def test_configuring_equals_creating_with_the_configuration(make):
     same(pulled(changed, 800), pulled(make(config=config), 800))
 
 
-def test_a_new_stated_period_applies_from_the_next_restart_on(make):
+def test_a_new_stated_period_applies_from_the_next_reset_on(make):
     config = Config().replace("disturbance.stated_period", 0.004)
     session = make()
     start = session.physics.measure().q_m
     session.configure(config)
     same(pulled(session, 50), pulled(make(), 50))
-    session.restart(config, start)
+    session.reset(start, config=config)
     same(pulled(session, 300), pulled(make(config=config), 300))
     slow = config.changed({"disturbance.stated_period": 0.008, "repulsion.k_v": 100.0})
     with pytest.raises(ConfigError, match="too large for a control period of 8 ms"):
-        session.restart(slow, start)
+        session.reset(start, config=slow)
     assert session.config is config
     fast = slow.replace("disturbance.stated_period", 0.001)
-    session.restart(fast, start)  # the gain suits the new period, not the former one
+    session.reset(start, config=fast)  # the gain suits the new period, not the former one
     same(pulled(session, 50), pulled(make(config=fast), 50))
 
 

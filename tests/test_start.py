@@ -16,8 +16,7 @@ from app.robot.description import load_robot
 from app.robot.link_pairs import PairDistances, find_link_pairs
 from app.robot.model import RobotModel
 from app.simulation.scenarios import LINES
-from app.simulation.scenarios.posture import Found, PostureSearch
-from app.simulation.scenarios.start import StartSolver, find_start
+from app.simulation.scenarios.start import Found, PostureSearch, StartSolver, find_start
 
 D_B = Config().border.d_b
 PLACES = {

@@ -14,7 +14,7 @@ from numba.core.runtime import nrtdynmod
 from numba.core.typing.templates import Signature
 
 from app.compiled import compiled
-from app.structs import struct_type
+from app.structs import StructType
 
 FIELDS = {
     "number": types.f8,
@@ -28,7 +28,7 @@ FIELDS = {
     "scalar": types.Array(types.f8, 0, "C"),
 }
 Values: Any = NamedTuple("Values", [(name, Any) for name in FIELDS])  # type: ignore[misc]
-KIND = struct_type("Values", FIELDS)
+KIND = StructType("Values", FIELDS)
 
 
 @compiled(Signature(types.void, (KIND.type, types.Array(types.f8, 1, "C")), None))
@@ -75,7 +75,7 @@ def test_compiled_code_never_releases_the_memory_of_a_struct() -> None:
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
 def test_a_struct_is_not_copied_because_its_address_belongs_to_one_memory(copied: Any) -> None:
-    kind = struct_type("One", {"x": types.f8})
+    kind = StructType("One", {"x": types.f8})
     struct = kind.made_of(NamedTuple("One", [("x", float)])(1.0))
     with pytest.raises(TypeError, match="address of its memory"):
         copied(struct)

@@ -23,8 +23,9 @@ from app.studies.pulls.envelope import (
     tally_by_halves,
 )
 from app.studies.pulls.parameters import StudyParameters, StudyRange
-from app.studies.pulls.report import draw_clearance, draw_errors, summary_of
+from app.studies.pulls.report import PICTURES, draw_clearance, draw_errors, summary_of
 from app.studies.runs import Row
+from app.studies.style import png_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -218,6 +219,14 @@ def test_values_beyond_the_axes_are_drawn_at_their_ends():
         drawn = right.collections[0].get_offsets()[:, 0]
         low, high = right.get_xlim()
         assert ((low <= drawn) & (drawn <= high)).all()
+
+
+def test_pictures_of_a_study_without_any_results_can_be_drawn():
+    drawn = row(0, 20.0, 0.5, 0.1, 0)
+    results = ("min_clearance_m", "ee_error_final_m", "hand_force_clear_max_n")
+    broken = drawn | dict.fromkeys(results) | {"kind": "side", "error": "it broke"}
+    for each in PICTURES.values():
+        png_of(each.draw([broken], Envelope.stated(), 0.15))
 
 
 @pytest.mark.parametrize(

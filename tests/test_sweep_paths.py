@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,11 +18,10 @@ from app.studies.sweep import sweep
 from app.studies.sweep.plan import (
     AXIS_OFFSETS,
     Approach,
+    Kind,
     Start,
+    SweepPlan,
     exit_distance,
-    from_above,
-    ring,
-    wheel_axis,
 )
 from app.studies.sweep.sweep import StartFinder
 
@@ -32,9 +33,14 @@ def finder(robot: RobotModel, border_data: BorderData) -> StartFinder:
     return StartFinder(robot, border_data, D_B)
 
 
+def paths(robot: RobotModel, kind: Kind, **plan: Any) -> list[Approach]:
+    """The paths of one kind in a plan."""
+    return [path for path in SweepPlan(**plan).approaches(robot) if path.kind == kind]
+
+
 @pytest.fixture(scope="module")
 def axis_starts(finder: StartFinder) -> list[Start]:
-    return [finder.find(approach, DISTANCE) for approach in wheel_axis([0.3])]
+    return [finder.find(path, DISTANCE) for path in paths(finder.model, "wheel_axis")]
 
 
 def at(robot: RobotModel, start: Start) -> RobotState:
@@ -45,8 +51,8 @@ def at(robot: RobotModel, start: Start) -> RobotState:
 
 
 @given(step=st.sampled_from([0.5, 1.0, 5.0, 15.0, 90.0]))
-def test_a_ring_has_each_direction_once_at_each_height(step: float) -> None:
-    found = list(ring([0.2, 0.4], step))
+def test_a_ring_has_each_direction_once_at_each_height(robot: RobotModel, step: float) -> None:
+    found = paths(robot, "side", heights=(0.2, 0.4), step=step)
     assert len(set(found)) == len(found) == 2 * round(360.0 / step)
     for approach in found:
         angle = np.radians(approach.direction_deg)
@@ -67,17 +73,20 @@ def test_exit_distance_ends_on_the_outline_of_the_rectangle(
 
 
 @given(st.floats(0.05, 0.9))
-def test_the_grid_from_above_spans_the_footprint_within_the_spacing(spacing: float) -> None:
-    lower, upper = np.array([-0.495, -0.345]), np.array([0.495, 0.345])
-    places = np.array([approach.place for approach in from_above(lower, upper, spacing)])
-    np.testing.assert_allclose(places.min(axis=0), lower)
-    np.testing.assert_allclose(places.max(axis=0), upper)
+def test_the_grid_from_above_spans_the_footprint_within_the_spacing(
+    robot: RobotModel, spacing: float
+) -> None:
+    found, body = paths(robot, "above", above=True, above_spacing=spacing), MobileBody(robot)
+    places = np.array([path.place for path in found])
+    np.testing.assert_allclose(places.min(axis=0), body.lower[:2], atol=1e-6)
+    np.testing.assert_allclose(places.max(axis=0), body.upper[:2], atol=1e-6)
     for values in places.T:
         assert np.diff(np.unique(values)).max() <= spacing + 1e-6
 
 
-def test_paths_along_the_wheel_axis_are_mirrored() -> None:
-    left, right = ([a for a in wheel_axis([0.3]) if a.direction_deg == d] for d in (90.0, 270.0))
+def test_paths_along_the_wheel_axis_are_mirrored(robot: RobotModel) -> None:
+    found = paths(robot, "wheel_axis")
+    left, right = ([path for path in found if path.direction_deg == d] for d in (90.0, 270.0))
     assert [a.offset for a in left] == [a.offset for a in right] == list(AXIS_OFFSETS)
     np.testing.assert_array_equal(left[0].inwards, [0.0, -1.0, 0.0])
     np.testing.assert_array_equal(right[0].inwards, [0.0, 1.0, 0.0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import ctypes
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ import pytest
 from app import system
 from app.cli.options import make_folder
 from app.errors import OutputError
+from benchmarks.memory import peak_memory
 from tests.browser import wait_for
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -194,12 +196,10 @@ def test_memory_release_and_flush_work_without_mallopt() -> None:
 
 
 def test_peak_memory_considers_the_unit_of_the_system(monkeypatch) -> None:
-    monkeypatch.setattr(
-        system.resource, "getrusage", lambda _: SimpleNamespace(ru_maxrss=3 * 2**20)
-    )
-    assert system.peak_memory() == pytest.approx(3 * 2**30 / 1e6)
+    monkeypatch.setattr(resource, "getrusage", lambda _: SimpleNamespace(ru_maxrss=3 * 2**20))
+    assert peak_memory() == pytest.approx(3 * 2**30 / 1e6)
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert system.peak_memory() == pytest.approx(3 * 2**20 / 1e6)
+    assert peak_memory() == pytest.approx(3 * 2**20 / 1e6)
 
 
 def test_missing_permission_for_priorities_is_no_error(monkeypatch) -> None:

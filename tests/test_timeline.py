@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from app.dashboard.record import BIN, Strip
-from app.dashboard.scene.scene import SceneData
-from app.dashboard.timeline import MOST_MARKED, Timeline
+from app.dashboard.record import BIN, MOST_MARKED, Strip, Timeline
+from app.dashboard.shared import SharedState
 from app.errors import ConfigError, LogError
 from app.simulation.trace import trace
 from app.simulation.trace.trace import History
@@ -27,7 +26,7 @@ class Past:
         self._history = History()
         self._history.add(replace(self._snapshot, t=0.0))
         self.strip = Strip(husky_panda().body_names)
-        self._data = SceneData(self, husky_panda(), {}, parts=object())
+        self._data = SharedState(self, husky_panda(), {}, parts=object())
         self._data.keepers = [self.strip]
         self._runs = 0
         self.run(0.0, seconds)
@@ -240,7 +239,7 @@ def test_end_before_the_begin_removes_the_begin():
 @pytest.mark.parametrize("speed", [0.25, 1.0, 4.0])
 def test_replay_runs_at_its_speed_to_the_present_and_stops_on_request(speed, monkeypatch):
     clock = [100.0]
-    monkeypatch.setattr("app.dashboard.timeline.monotonic", lambda: clock[0])
+    monkeypatch.setattr("app.dashboard.record.monotonic", lambda: clock[0])
     timeline = line_of(Past(12.0))
     timeline.play(speed)
     assert timeline.plays

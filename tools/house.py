@@ -162,8 +162,8 @@ def step_files() -> list[str]:
 
         return call
 
-    estimate = noting(controller.update_estimate, controller._estimate)
-    law = noting(controller.run_algorithm_2, controller._law)
+    estimate = noting(controller.algorithm.update_estimate, controller._estimate)
+    law = noting(controller.algorithm.run_algorithm_2, controller._law)
     with patch.multiple(controller, _estimate=estimate, _law=law):
         sys.setprofile(note)
         try:

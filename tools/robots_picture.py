@@ -15,7 +15,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from app.border.mobile import MobileBody
-from app.border.offset import OffsetContours
+from app.border.offset import offset_contours
 from app.onboarding.fit.units import moved, placements, units_of_links
 from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
@@ -51,7 +51,7 @@ def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
 
 def draw_border(axes: Axes, model: RobotModel) -> None:
     """Draw the contours of l_m's exact offset in colours by height."""
-    offset, top = OffsetContours(model, D_B), float(MobileBody(model).upper[2]) + D_B
+    offset, top = offset_contours(model, D_B), float(MobileBody(model).upper[2]) + D_B
     for k, z in enumerate(np.linspace(0.02, top - 0.005, HEIGHTS)):
         for piece in offset.contours(float(z)):
             axes.plot(*piece.T, color=colormaps["viridis"](k / (HEIGHTS - 1)), linewidth=1.2)

@@ -8,11 +8,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.border.nearest import BorderSearch, nearest_border
+from app.border.nearest import nearest_border
 from app.border.score import ScoreField, field_at
 from app.compiled import compiled
 from app.config import ForceConfig
 from app.strict import Array
+
+
+class ActingPoint(NamedTuple):
+    """Result of Algorithm 3, in the base's frame; all its points have the height of p_b.
+
+    If l_m has no border, `alpha` and the x and y of points and tangent are NaN.
+    """
+
+    p_n: Array
+    """(3,) [m] point of the border nearest to p_b."""
+    p_t: Array
+    """(3,) [m] p_n moved along the tangent towards a better score."""
+    p_act: Array
+    """(3,) [m] acting point, the point of the border nearest to p_t."""
+    t: Array
+    """(3,) unit tangent, horizontal."""
+    alpha: float
+    """[m] step size."""
 
 
 @compiled()
@@ -25,8 +43,7 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
     Paper: Eq. (13). The bounds `alpha_min` and `alpha_max` [m] are those of Figure 8b: after a step
     that is too large, the force has no component along the line between the end-effector and the
-    border. `d` [m] is the signed distance of the pair. `score` is S(p_n) [m⁴/rad⁴], divided by
-    `BaseKind.score_unit`.
+    border. `d` [m] is the pair's signed distance, `score` S(p_n) divided by `BaseKind.score_unit`.
     """
     proportional = gain * max(d, 0.0) / max(abs(score) + gain / 2.0, 1e-12)
     return min(max(proportional, alpha_min), alpha_max)
@@ -50,37 +67,24 @@ def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
 
 @compiled()
 def find_acting_point(
-    border: Any,
-    pair: int,
-    score: Array,
-    p_b: Array,
-    d: float,
-    step: tuple[float, float, float],
-) -> tuple[Array, Array, Array, Array, float]:
+    border: Any, pair: int, score: Array, p_b: Array, d: float, step: tuple[float, float, float]
+) -> ActingPoint:
     """The acting point of a pair of arm and base, for the closest point p_b on the arm.
 
     Paper: Algorithm 3.
 
-    Args:
-        border: `BORDER` of the robot.
-        pair: Number of the pair among the pairs of arm and base (L_m), from 0.
-        score: (9,) `ScoreField.coefficients` of the pair's body.
-        p_b: (3,) [m] closest point on the arm, in the base's frame.
-        d: [m] signed distance of the pair.
-        step: `gain`, `alpha_min` and `alpha_max` of `step_size`.
-
-    Returns:
-        p_n, p_t, p_act (3,) [m], the tangent (3,) and α [m]; if l_m has no border, α and the x and
-        y of points and tangent are NaN.
+    `border` is `BORDER` of the robot, `pair` the number of the pair in L_m, from 0, and `score`
+    (9,) the `ScoreField.coefficients` of the pair's body. `p_b` (3,) [m] is in the base's frame,
+    `d` [m] the signed distance. `step` has `gain`, `alpha_min` and `alpha_max` of `step_size`.
     """
     p_n, t = nearest_border(border, pair, p_b)
     if math.isnan(p_n[0]):
-        return p_n, p_n, p_n, t, math.nan
+        return ActingPoint(p_n, p_n, p_n, t, math.nan)
     _, value, gradient = field_at(score, p_n)
     alpha = step_size(d, value / score[2], step[0], step[1], step[2])
     p_t = p_n + tangential_step(gradient, t, alpha)
     p_act, _ = nearest_border(border, pair, p_t)
-    return p_n, p_t, p_act, t, alpha
+    return ActingPoint(p_n, p_t, p_act, t, alpha)
 
 
 @compiled()
@@ -130,37 +134,20 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
     """ẍ_m = A_b f_m (n_b,) [m/s² or rad/s²]: acceleration along the base's axes by the force f_m.
 
-    `A_b` (n_b, 3) is `BaseKind.A_b`, for a differential base that of (17) and (18). `f_m` (3,)
-    [N, N, N m] is the result of `resultant_force`.
+    `A_b` (n_b, 3) is `BaseKind.A_b`: (17) and (18) for a differential base. `f_m` (3,) [N, N, N m].
 
     Paper: Eq. (16).
     """
     xdd_m = np.zeros(len(A_b))
-    for i in range(len(A_b)):
-        for k in range(3):
-            xdd_m[i] += A_b[i, k] * f_m[k]
+    for k in range(3):
+        xdd_m += A_b[:, k] * f_m[k]
     return xdd_m
-
-
-class ActingPoint(NamedTuple):
-    """Result of Algorithm 3, in the base's frame; all its points have the height of p_b."""
-
-    p_n: Array
-    """(3,) [m] point of the border nearest to p_b."""
-    p_t: Array
-    """(3,) [m] p_n moved along the tangent towards a better score."""
-    p_act: Array
-    """(3,) [m] acting point, the point of the border nearest to p_t."""
-    t: Array
-    """(3,) unit tangent, horizontal."""
-    alpha: float
-    """[m] step size."""
 
 
 class ActingPointFinder:
     """Algorithm 3 for one pair, for drawings and studies outside of a control step."""
 
-    def __init__(self, border: BorderSearch, field: ScoreField) -> None:
+    def __init__(self, border: Any, field: ScoreField) -> None:
         self.field = field
         """The score of the pair's body."""
         self._border, self._score = border, field.coefficients()
@@ -168,6 +155,6 @@ class ActingPointFinder:
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
         """The acting point for p_b (3,) [m] at the distance d [m]; None if l_m has no border."""
         step = force.alpha_gain, force.alpha_min, force.alpha_max
-        at, border = np.array(p_b, float), self._border.struct
-        found = ActingPoint(*find_acting_point(border, 0, self._score, at, d, step))
+        at = np.array(p_b, float)
+        found = find_acting_point(self._border, 0, self._score, at, d, step)
         return None if math.isnan(found.alpha) else found

@@ -59,15 +59,12 @@ class SmoothPoints:
     a corner between two parts.
 
     The nearest point of a flat face can be any of its points. Therefore, on each shape of `b` with
-    flat faces, the points that are nearest to the nodes of `a` are nodes too. `mean_nearest`
-    computes the closest points.
+    flat faces, the points that are nearest to the nodes of `a` are nodes too.
 
     Attributes:
-        rows: For each pair: its own row of the results, then the rows of the convex parts of `a` if
-            there are several.
-        joints: (k, 2) indices of pinocchio's joints that move `a` and `b` of each row.
-        arrays: Fields of `app.control.inputs.ROBOT`: the constant arguments of `mean_nearest`, the
-            joint of each body, and `joints`.
+        rows: For each pair: its own row of the results, then those of the parts of `a`, if any.
+        arrays: Fields of `app.control.inputs.ROBOT`: the constant arguments of `mean_nearest`, and
+            the joints of the bodies and of the rows.
     """
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
@@ -86,7 +83,6 @@ class SmoothPoints:
         self.rows = [[k, *range(*of_parts)] for k, of_parts in enumerate(pairwise(ends))]
         shapes = Shapes.together([shapes for shapes, _ in bodies])
         joints = np.array([model.body_joints[name] for name in names], dtype=int)
-        self.joints = joints[sought[:, :2]]
         self.arrays = {
             "shapes": shapes.rows,
             "triangles": shapes.triangles,
@@ -94,7 +90,7 @@ class SmoothPoints:
             "firsts": firsts,
             "sought": sought,
             "body_joints": joints,
-            "pair_joints": self.joints,
+            "pair_joints": joints[sought[:, :2]],
         }
 
 
@@ -193,14 +189,12 @@ def mean_nearest(
 
     There is a row for each pair, then one for each convex part of each `a` that has several.
 
-    Args:
-        bodies: Four arrays of all bodies, one body after the other: (P, 16) rows and (T, 4, 3)
-            triangles of `Shapes`; (K, 4) [m] nodes, each with the radius around it; (bodies + 1, 2)
-            index of the first shape and of the first node of each body.
-        sought: (k, 4) indices of the bodies `a` and `b`, then first and end index of the shapes of
-            `a` that the row uses.
-        placed: (4 bodies, 3) pose of each body in the world: three rows of R, then the origin [m].
-        blend: [m] smoothing length τ.
+    `bodies` are four arrays of all bodies, one body after the other: (P, 16) rows and (T, 4, 3)
+    triangles of `Shapes`; (K, 4) [m] nodes, each with the radius around it; (bodies + 1, 2) index
+    of the first shape and of the first node of each body. `sought` (k, 4) has the indices of `a`
+    and `b`, then first and end index of the used shapes of `a`. `placed` (4 bodies, 3) has the pose
+    of each body in the world: three rows of R, then the origin [m]. `blend` [m] is the smoothing
+    length τ.
     """
     rows, triangles, nodes, firsts = bodies
     found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))

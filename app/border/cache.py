@@ -1,7 +1,7 @@
 """Files of a robot's offline results: its link pairs, and P_i of Algorithm 1 (the clouds).
 
-If there is no valid file, the content is computed once and stored. A file is an `.npz` without
-pickles. Its name and header have its key, a hash of all inputs that is equal on all machines.
+A file is an `.npz` without pickles. Its name and header have its key, a hash of all inputs that is
+equal on all machines.
 """
 
 import hashlib
@@ -10,7 +10,7 @@ import json
 import logging
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +19,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
+from pydantic import TypeAdapter
+from pydantic_core import to_json
 
 from app.border.dbb import Cloud, make_cloud
 from app.border.sampling import SamplingConfig, sample_clouds
@@ -26,16 +28,18 @@ from app.errors import OutputError
 from app.robot import assets
 from app.robot.assets import read_urdf, resolve_package_uri
 from app.robot.description import RobotDescription
-from app.robot.link_pairs import LinkPairs, Pair, find_link_pairs
+from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import ConvexMesh
-from app.strict import Array, Finite, NonNegative, Strict
+from app.strict import Array
 from app.system import write_whole
 
 FORMAT = 2  # version of layout and sampling; a new version invalidates all files
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] block size; points are stored as block and offset
 _LARGEST = 256_000_000  # [bytes] largest expanded file; the paper's robot needs 30 MB
 _PARTS = ("blocks", "places", "distances")
+_HEADER = TypeAdapter(dict[str, Any])  # key, format, and the fields of `LinkPairs`
+_PAIRS = TypeAdapter(LinkPairs)
 
 _log = logging.getLogger(__name__)
 _FAULTS = OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, RuntimeError, MemoryError
@@ -43,20 +47,6 @@ _FAULTS = OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, Runti
 
 class DamagedFileError(Exception):
     """A file cannot be read, its content is invalid, or its key is not the one in its name."""
-
-
-class _Header(Strict):
-    """The header of a file: all data except the arrays."""
-
-    key: str
-    format: int
-    mobile: tuple[Pair, ...]
-    manipulator: tuple[Pair, ...]
-    never: tuple[Pair, ...]
-    rates: dict[str, NonNegative]
-    least_distance_m: dict[str, Finite]
-    samples: int
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -81,8 +71,8 @@ def load_border_data(
 ) -> BorderData:
     """Load the pairs and clouds of a robot, or sample and store them.
 
-    `sampling` are the parameters of the sampling; default: those of the project's files. The other
-    arguments are those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
+    Without `sampling`, the parameters are those of the project's files. The other arguments are
+    those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
     """
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:
@@ -105,8 +95,7 @@ def kept_border_data(
     """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
     The user's cache has precedence over the project's files. A file of another robot with the same
-    key is valid too. A warning names each file that is damaged or has another key in its header.
-    Errors: those of `border_key`.
+    key is valid too. Errors: those of `border_key`.
     """
     key = border_key(model.description, sampling or SamplingConfig())
     folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}
@@ -131,10 +120,8 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits.
 
     The key depends on the sampling, and on all data of the robot that determine its pairs and
-    clouds. Sources, colours, masses, gains and paths of packages have no effect on it.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
+    clouds, but not on masses, colours, gains or paths. Raises an AssetError if the URDF or a mesh
+    is missing.
     """
     arm = description.arm
     content = {
@@ -165,7 +152,7 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
 
 def write(path: Path, data: BorderData, key: str) -> None:
     """Write a file completely, or write nothing and raise an OSError or an OutputError."""
-    header = _Header(format=FORMAT, key=key, **vars(data.pairs)).model_dump_json().encode()
+    header = to_json({"key": key, "format": FORMAT, **vars(data.pairs)})
     content: dict[str, Any] = {"header": np.frombuffer(header, dtype=np.uint8)}
     for i, pair in enumerate(data.pairs.mobile):
         for part, array in zip(_PARTS, _pack(data.clouds[pair.name]), strict=True):
@@ -177,11 +164,8 @@ def write(path: Path, data: BorderData, key: str) -> None:
 
 
 def read(path: Path, key: str) -> BorderData:
-    """Read a file, and verify its checksums and its key.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        DamagedFileError: The file cannot be read or is too large, or its key or content is invalid.
+    """Read a file, and verify its checksums and its key; a FileNotFoundError or, for an invalid,
+    too large or unreadable file or another key, a DamagedFileError.
     """
     try:
         # `np.load` would leave an unreadable file open, and would accept a plain array.
@@ -190,23 +174,19 @@ def read(path: Path, key: str) -> BorderData:
             expanded = sum(each.file_size for each in file.zip.infolist())
             if expanded > _LARGEST:
                 raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
-            return _content({name: file[name] for name in file.files}, key)
+            header = _HEADER.validate_json(file["header"].tobytes())
+            if (header.pop("key"), header.pop("format")) != (key, FORMAT):
+                raise DamagedFileError("it belongs to another robot, sampling or version")
+            pairs = _PAIRS.validate_python(header)
+            clouds = {
+                pair.name: _unpack(pair.name, *(file[f"cloud{i}_{part}"] for part in _PARTS))
+                for i, pair in enumerate(pairs.mobile)
+            }
+            return BorderData(pairs, clouds, "cache")
     except FileNotFoundError:
         raise
     except _FAULTS as error:
         raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
-
-
-def _content(arrays: dict[str, Array], key: str) -> BorderData:
-    header = _Header.model_validate_json(arrays["header"].tobytes())
-    if (header.key, header.format) != (key, FORMAT):
-        raise DamagedFileError("it belongs to another robot, sampling or version")
-    pairs = LinkPairs(**{each.name: getattr(header, each.name) for each in fields(LinkPairs)})
-    clouds = {
-        pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
-        for i, pair in enumerate(pairs.mobile)
-    }
-    return BorderData(pairs, clouds, "cache")
 
 
 def _pack(cloud: Cloud) -> tuple[Array, Array, Array]:

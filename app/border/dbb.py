@@ -1,7 +1,4 @@
-"""Algorithm 1: P_i, and the border DBB_i, which is a subset of P_i.
-
-P_i are sampled closest points on a body of the arm, around the mobile base l_m.
-"""
+"""Algorithm 1: P_i, closest points sampled around the mobile base l_m, and its subset DBB_i."""
 
 from dataclasses import dataclass
 
@@ -18,12 +15,10 @@ POINT_RANGE = 3.2  # [m] largest coordinate that can be stored
 class Cloud:
     """P_i, the sampled points of one pair of arm and base (L_m), sorted by height."""
 
-    pair: str
-    """Name of the pair, such as `lm-lEE`."""
+    pair: str  # name of the pair, such as `lm-lEE`
     points: Array
     """(N, 3) int16 points in units of 0.1 mm, in the base's frame, by ascending height."""
-    distances: Array
-    """(N,) uint16 distances d_m of the points, in units of 10 µm."""
+    distances: Array  # (N,) uint16 distances d_m of the points, in units of 10 µm
 
     def __len__(self) -> int:
         return len(self.distances)
@@ -74,8 +69,7 @@ class Border:
     d_b: float
     eps: float
     """[m] d_b and ε of (3)."""
-    points: Array
-    """(N, 3) [m] points, by ascending height."""
+    points: Array  # (N, 3) [m]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -86,9 +80,7 @@ class Border:
         return self.points[:, 2]
 
     def same_height(self, z: float, half_thickness: float = SAME_HEIGHT) -> Array:
-        """DBB_xy (M, 3) [m]: the points whose heights differ from z [m] by at most
-        `half_thickness` [m]; FindSameHeight of Algorithm 3.
-        """
+        """DBB_xy (M, 3) [m] of Algorithm 3: the points within `half_thickness` [m] of height z."""
         first = self.heights.searchsorted(z - half_thickness, "left")
         last = self.heights.searchsorted(z + half_thickness, "right")
         return self.points[first:last]
@@ -96,8 +88,6 @@ class Border:
 
 def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
     """ConstructDBB: the points of P_i whose distance to l_m differs from d_b [m] by at most ε [m].
-
-    The border is empty if P_i has no such points.
 
     Paper: Eq. (3).
     """

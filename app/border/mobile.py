@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
-The distances are those of the collision library, but these compiled functions are fifty times
-faster for boxes and round shapes. For a hull, the time grows with the number of triangles.
+Compiled functions compute the distances of the collision library, for boxes and round shapes fifty
+times faster.
 """
 
 from __future__ import annotations
@@ -19,61 +19,29 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 _BOX, _CAPSULE, _CYLINDER, _HULL = range(4)
-_MAX_NEWTON = 30
-_AT_END = 1e-9  # [m] tolerance of the distance at a ray's end
 _FLAT = 1e-9  # [m] tolerance for points in a plane
 
 
-class ConvexPart:
-    """One convex shape of l_m; `lower` and `upper` (3,) [m] are corners of a box around it.
+class ConvexPart(NamedTuple):
+    """One convex shape of l_m, in the base's frame."""
 
-    The box is along the axes of the base's frame. `shapes` has only this shape.
-    """
-
-    def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
-        self.lower, self.upper = bounds(geometry, placement)
-        self.shapes = Shapes.of(geometry, placement)
-
-    def ray_ends(self, origin: Array, rays: Array, start: Array, d_b: float) -> Array:
-        """(K,) [m] distances along rays to the far side of the shape's offset; −inf without a hit.
-
-        The distance to a convex shape is a convex function along a ray. From a start at which the
-        distance increases, the first Newton step ends at the outer root or beyond, and the next
-        steps approach the root from outside.
-
-        Args:
-            origin: (3,) [m] start of all rays.
-            rays: (K, 3) unit vectors of the rays.
-            start: (K,) [m] initial estimates along the rays, beyond the shape.
-            d_b: [m] distance of the offset from the shape.
-        """
-        s, ends, left = start.copy(), np.full(len(rays), -np.inf), np.arange(len(rays))
-        for _ in range(_MAX_NEWTON):
-            found = self.shapes.distances_and_normals(origin + s[left, None] * rays[left])
-            off, slope = found[:, 0] - d_b, (found[:, 1:] * rays[left]).sum(axis=1)
-            there, rising = np.abs(off) < _AT_END, slope > 1e-9
-            on_border = left[there & (slope >= 0.0)]
-            ends[on_border] = s[on_border]
-            further = ~there & rising
-            left = left[further]
-            if not len(left):
-                return ends
-            s[left] -= off[further] / slope[further]
-        ends[left] = s[left]
-        return ends
+    shapes: Shapes  # only this shape
+    lower: Array
+    upper: Array
+    """(3,) [m] corners of the box of `bounds` around the shape."""
 
 
 class MobileBody:
-    """l_m, a union of convex `parts`; `lower`, `upper` (3,) [m] are corners of a box around it.
-
-    The box is along the axes of the base's frame.
+    """l_m, a union of convex `parts`; `lower`, `upper` (3,) [m] are corners of their common
+    `bounds`.
     """
 
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
-        objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
         # The frame of the planar joint of l_m, on the floor, is the base's frame.
-        self.parts = [ConvexPart(o.geometry, o.placement) for o in objects]
+        objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
+        placed = [(each.geometry, each.placement) for each in objects]
+        self.parts = [ConvexPart(Shapes.of(*each), *bounds(*each)) for each in placed]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
         self._shapes = Shapes.together([part.shapes for part in self.parts])
@@ -192,11 +160,7 @@ _Signed = tuple[float, float, float, float]
 
 @compiled()
 def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Distance of the point (x, y, z) [m] to a hull; inside the hull, to the nearest plane.
-
-    Outside, the search starts with a point of the hull. Only the few triangles with a corner beyond
-    the plane through this point, perpendicular to the line to (x, y, z), can be nearer.
-    """
+    """Distance of the point (x, y, z) [m] to a hull; inside the hull, to the nearest plane."""
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
         over = _over(triangles[k], x, y, z)
@@ -208,6 +172,7 @@ def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
     u, v, w = _on_triangle(triangles[face], x, y, z, deepest)
     p, q, r = x - u, y - v, z - w
     level, square = p * u + q * v + r * w, p * p + q * q + r * r
+    # Only the few triangles with a corner beyond the plane through (u, v, w) can be nearer.
     for k in range(len(triangles)):
         if _reach(triangles[k], p, q, r) <= level:
             continue
@@ -255,10 +220,7 @@ def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: f
 
 @compiled()
 def nearest_of(shapes: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Signed distance [m] of the point (x, y, z) [m] to the nearest shape, and its gradient (3).
-
-    `shapes` (P, 16) are the rows of a record `Shapes`, `triangles` (T, 4, 3) its triangles.
-    """
+    """Signed distance [m] of (x, y, z) [m] to the nearest of `Shapes`, and its gradient (3)."""
     best = (np.inf, 0.0, 0.0, 0.0)
     for k in range(len(shapes)):
         R, a, b, c = shapes[k, 4:13], x - shapes[k, 13], y - shapes[k, 14], z - shapes[k, 15]
@@ -282,7 +244,7 @@ def nearest_of(shapes: Array, triangles: Array, x: float, y: float, z: float) ->
 
 @compiled()
 def is_round(row: Array) -> bool:
-    """Whether the shape in a row (16,) of `Shapes` has no flat face: a capsule or a sphere."""
+    """Whether the shape in a row (16,) of `Shapes` is a capsule or a sphere."""
     return bool(row[0] == _CAPSULE)
 
 

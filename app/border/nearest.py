@@ -1,16 +1,14 @@
 """The border point nearest to a query point: p_n of Algorithm 3.
 
 The border is a surface, the exact offset of l_m, or consists of points as in the paper, which are
-within ε of the surface. The nearest point of the surface moves continuously with the query point;
-it jumps only where two points of the surface are equally near. The surface is closed, so it also
-covers regions that the arm never reaches. The arm's closest point is never there, and near such
-regions the reachability in the score leads away from them.
+within ε of the surface. The surface also covers regions that the arm never reaches: the arm's
+closest point is never there, and the reachability in the score leads away from such regions.
 
 At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
 closed polygon. The parts of all rings outside of the other shapes' offsets form the contour: one
-closed curve, or several curves around islands or holes. Between two heights of a `Table`, the
+closed curve, or several curves around islands or holes. Between the heights of two rings, the
 vertices and their distances to the other offsets are interpolated; two rings cross where such a
-distance is zero. The contour jumps only at heights where a shape begins or ends.
+distance is zero.
 """
 
 import math
@@ -23,13 +21,12 @@ from numba import types
 from app.border.dbb import SAME_HEIGHT, Border
 from app.compiled import compiled
 from app.strict import Array
-from app.structs import struct_type
+from app.structs import StructType
 
 _SAME_CORNER = 0.01  # [m] largest distance of two ends that belong to the same corner
 _TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefined
 
 BLOCK = 24  # [-] number of edges in a block of the search; a ring has a whole number of blocks
-
 Best = tuple[float, complex, complex]
 """Nearest point so far: its distance [m], the point [m] and its unit tangent, both as x + iy."""
 Corner = tuple[complex, complex, bool]
@@ -37,25 +34,54 @@ Corner = tuple[complex, complex, bool]
 and whether the visible part of the ring starts there."""
 
 
-class Table(NamedTuple):
-    """The rings of all shapes. The first vertex of a row is repeated at its end."""
+class OffsetContours(NamedTuple):
+    """The contours of the offset of l_m at each height: the rings of all visible shapes, as rows of
+    the arrays (N, …). The first vertex of a ring is repeated at its end.
+    """
 
-    firsts: Array
-    """(K + 1,) row of each shape's first ring, and the number of rows."""
-    heights: Array
-    """(N,) [m] heights of the rings, ascending for each shape."""
-    vertices: Array
-    """(N, R + 1) [m] vertices as x + iy."""
-    tangents: Array
-    """(N, R + 1) unit tangents at the vertices, as x + iy."""
+    firsts: Array  # (K + 1,) row of each shape's first ring, and the number of rows
+    heights: Array  # (N,) [m] heights of the rings, ascending for each shape
+    vertices: Array  # (N, R + 1) [m] vertices as x + iy
+    tangents: Array  # (N, R + 1) unit tangents at the vertices, as x + iy
     shown: Array
     """(N, R + 1) [m] signed distance of each vertex from the other offsets; negative if hidden."""
     spans: Array
     """(N, R / BLOCK) [m] largest distance of a vertex from the middle vertex of its block."""
 
+    def contours(self, z: float) -> list[Array]:
+        """The contour at height z [m]: polylines (K, 2) [m] of the visible pieces of all rings."""
+        found = []
+        for first, end in zip(self.firsts[:-1], self.firsts[1:], strict=True):
+            heights = self.heights[first:end]
+            if not heights[0] <= z <= heights[-1]:
+                continue
+            k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
+            share = (z - heights[k]) / (heights[k + 1] - heights[k])
+            rows, weights = first + k + np.arange(2), (1.0 - share, share)
+            found += _pieces(weights @ self.vertices[rows], weights @ self.shown[rows])
+        return found
+
+    def curves(self, z: float) -> list[Array]:
+        """The contour at z [m], or that nearest in height drawn at z, as curves (K, 3) [m]."""
+        at = level(self.firsts, self.heights, z)
+        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
+
+
+def _pieces(ring: Array, shown: Array) -> list[Array]:
+    """The visible pieces (K, 2) [m] of a ring of vertices with their `shown`, at one height."""
+    if (shown >= 0.0).all():
+        return [np.column_stack([ring.real, ring.imag])]
+    turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
+    ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
+    i = np.flatnonzero((shown[:-1] < 0.0) != (shown[1:] < 0.0))
+    crossings = ring[i] + shown[i] / (shown[i] - shown[i + 1]) * (ring[i + 1] - ring[i])
+    ring, visible = np.insert(ring, i + 1, crossings), np.insert(shown >= 0.0, i + 1, True)
+    pieces = np.split(ring, np.flatnonzero(np.diff(visible)) + 1)[1::2]
+    return [np.column_stack([piece.real, piece.imag]) for piece in pieces]
+
 
 _f8, _c16, _i8 = types.f8, types.c16, types.i8
-_BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
+_BORDER: dict[str, Any] = {  # first the fields of `OffsetContours`
     "firsts": types.Array(_i8, 1, "C"),
     "heights": types.Array(_f8, 1, "C"),
     "vertices": types.Array(_c16, 2, "C"),
@@ -68,13 +94,13 @@ _BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
     "eps": _f8,  # [m] ε of (3)
 }
 _Values: Any = NamedTuple("_Values", [(each, Any) for each in _BORDER])  # type: ignore[misc]
-BORDER = struct_type("_Values", _BORDER)
+BORDER = StructType("_Values", _BORDER)
 """The struct of a border, for signatures of compiled functions."""
 
 
 @compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
-    """[m] the height nearest to z at which a shape of a `Table` has a ring; z if none has one."""
+    """[m] the height nearest to z at which a shape has a ring; z without rings."""
     best, distance = z, np.inf
     for j in range(len(firsts) - 1):
         at = min(max(z, heights[firsts[j]]), heights[firsts[j + 1] - 1])
@@ -121,12 +147,10 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """Search the corners of the contour for a point that is nearer to p than `best`.
-
-    At a corner the visible part of one ring ends, and that of another begins. The two ends differ
-    by the interpolation error; the segment between them belongs to the contour. At a corner the
-    tangent is perpendicular to the line to p.
+    """Search the corners of the contour, where one ring's visible part ends and another's begins,
+    for a point nearer to p than `best`; its tangent is perpendicular to the line to p.
     """
+    # The two ends differ by the interpolation error; the contour includes the segment between them.
     met = np.zeros(len(corners), np.bool_)
     for at, t, begins in corners:
         if begins:
@@ -162,10 +186,8 @@ def _dot(a: complex, b: complex) -> float:
 
 @compiled()
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
-    """The fraction along an edge at which the line to p is perpendicular to the tangent.
-
-    `to_p` leads from the edge's start to p. The tangent is interpolated from t to t_next; with the
-    direction of the edge, the nearest point would jump at vertices.
+    """The fraction along an edge at which the line to p is perpendicular to the tangent, which is
+    interpolated from t to t_next; `to_p` leads from the edge's start to p.
     """
     # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
     a = -_dot(edge, t_next - t)
@@ -198,12 +220,12 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
 
 @compiled()
 def nearest_offset(border: Any, at: Array) -> Array:
-    """(2, 3) p and t of `Foot`, the point on the contour of a `BORDER` nearest to `at` (3,) [m].
+    """(2, 3) the point [m] on the contour of a `BORDER` nearest to `at` (3,) [m], and the tangent,
+    a horizontal unit vector with l_m on its left; x and y of both are NaN if there are no contours.
 
     Without a contour at the height of `at`, the contour nearest in height is moved to this height.
     Blocks of edges are searched in the order of their distance, until the next block is farther
-    than the nearest point, so the cost hardly grows with the number of shapes. If there are no
-    contours, x and y of p and t are NaN.
+    than the nearest point.
     """
     firsts, heights, vertices = border.firsts, border.heights, border.vertices
     tangents, shown, spans = border.tangents, border.shown, border.spans
@@ -247,14 +269,12 @@ def nearest_sample(
     """FindSameHeight and FindMinDistancePoint: the sampled border point nearest to p (3,) [m].
 
     The pair's border points are those from `first` to `end` - 1 of `points` (N, 3) [m], by
-    ascending height; `eps` [m] is ε of (3).
+    ascending height; `eps` [m] is ε of (3). The results are the nearest point (3,) [m] at the
+    height of p; the unit tangent (3,), perpendicular to the line from p to this point, NaN if their
+    distance is at most ε; and whether there are points at this height. If not, the first two are
+    invalid.
 
     Paper: Algorithm 3, lines 1 to 4.
-
-    Returns:
-        The nearest point (3,) [m], moved to the height of p; the unit tangent (3,), perpendicular
-        to the line from p to this point, NaN if their horizontal distance is at most ε; and whether
-        there are points at this height. Without points, the first two results are invalid.
     """
     low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
     heights = points[first:end, 2]
@@ -272,11 +292,11 @@ def nearest_sample(
 
 @compiled()
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
-    """The p and t of `Foot`: the point of a `BORDER` nearest to p (3,) [m] at the height of p.
+    """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and the tangent.
 
-    If the border consists of points, and the pair with the index `pair` has some at this height,
-    the result is that of `nearest_sample`; if its t is NaN, t is that of the surface. Otherwise the
-    result is that of `nearest_offset`. If l_m has no border, x and y of both are NaN.
+    If the pair with the index `pair` has sampled points at this height, the result is that of
+    `nearest_sample`, with the surface's tangent for NaN, otherwise that of `nearest_offset`. If l_m
+    has no border, x and y of both are NaN.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -290,31 +310,12 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     return exact[0], exact[1]
 
 
-class Foot(NamedTuple):
-    """The border point nearest to a query point, among those at its height; in the base's frame."""
-
-    p: Array
-    """(3,) [m] the point of the border."""
-    t: Array
-    """(3,) horizontal unit tangent there; on the surface, l_m is on its left."""
-
-
-class BorderSearch:
-    """A border in the form that compiled functions use."""
-
-    def __init__(self, table: Table, borders: Sequence[Border] = ()) -> None:
-        """Prepare the search of `OffsetContours.table` or, if there are `borders`, of their points.
-
-        `borders` has the border of each pair of arm and base, all for the same d_b.
-        """
-        points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
-        sampled = np.cumsum([0, *map(len, borders)])
-        eps = borders[0].eps if borders else 0.0
-        values = _Values(*map(np.ascontiguousarray, table), bool(borders), points, sampled, eps)
-        self.struct = BORDER.made_of(values)
-        """The border as a struct `BORDER`."""
-
-    def nearest(self, p: Array) -> Foot | None:
-        """The border point of the first pair nearest to p (3,) [m]; None if l_m has no border."""
-        foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
-        return None if math.isnan(foot.p[0]) else foot
+def border_struct(contours: OffsetContours, borders: Sequence[Border] = ()) -> Any:
+    """A struct `BORDER` for a search of the contours or, if there are `borders`, of their points;
+    `borders` has the border of each pair of arm and base, all for the d_b of the contours.
+    """
+    points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
+    sampled = np.cumsum([0, *map(len, borders)])
+    eps = borders[0].eps if borders else 0.0
+    arrays = map(np.ascontiguousarray, contours)
+    return BORDER.made_of(_Values(*arrays, bool(borders), points, sampled, eps))

@@ -1,16 +1,14 @@
-"""The border as a surface: the exact offset of the base, {p : distance to l_m = d_b}.
-
-The offset also replaces sampled points at heights without points, so that an acting point exists
-at every height. All heights and positions are in the base's frame.
-"""
+"""The border as a surface in the base's frame: the exact offset {p : distance to l_m = d_b}."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import ConvexPart, MobileBody, Shapes
-from app.border.nearest import BLOCK, BorderSearch, Table, level
+from app.border.nearest import BLOCK, OffsetContours, border_struct
 from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
@@ -22,88 +20,19 @@ _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
 _ALONE = 1.0  # [m] upper bound of `_shown`, and its value if there are no other shapes
+_MAX_NEWTON = 30  # [-] largest number of Newton steps along a ray
+_AT_END = 1e-9  # [m] tolerance of the distance d_b at a ray's end
 
-_Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
 _Rings = tuple[Array, Array]
 """Closed polygons around one convex shape, counter-clockwise, with vertices at d_m = d_b: ascending
 heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equals the first."""
 
 
-class OffsetContours:
-    """The contours of the offset of l_m at each height, for a buffer distance d_b [m].
-
-    Each shape of l_m has a ring at each height of its offset. The contours are the parts of the
-    rings outside of the other shapes' offsets: one closed curve, or several with islands and holes.
-    """
-
-    def __init__(self, model: RobotModel, d_b: float) -> None:
-        self.d_b = d_b
-        self.table = _table(MobileBody(model).parts, d_b)
-        """The rings of the visible shapes; empty if l_m has no offset above the floor."""
-
-    def contours(self, z: float) -> list[Array]:
-        """The contour at height z [m]: polylines (K, 2) [m] of the visible pieces of all rings."""
-        table, found = self.table, []
-        for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
-            heights = table.heights[first:end]
-            if not heights[0] <= z <= heights[-1]:
-                continue
-            k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
-            share = (z - heights[k]) / (heights[k + 1] - heights[k])
-            rows, weights = first + k + np.arange(2), (1.0 - share, share)
-            found += _pieces(weights @ table.vertices[rows], weights @ table.shown[rows])
-        return found
-
-    def curves(self, z: float) -> list[Array]:
-        """The contour as curves (K, 3) [m], drawn at height z [m].
-
-        If there is no contour at z, the curves have the shape of the contour nearest in height.
-        """
-        at = level(self.table.firsts, self.table.heights, z)
-        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
-
-
-def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The visible pieces (K, 2) [m] of a ring, which is a row of `Table.vertices`.
-
-    `shown` is the same row of `Table.shown`.
-    """
-    if (shown >= 0.0).all():
-        return [np.column_stack([ring.real, ring.imag])]
-    turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
-    ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
-    found: list[Array] = []
-    piece: list[complex] = []
-    for i in range(len(ring) - 1):
-        a, b = shown[i], shown[i + 1]
-        if (a < 0.0) != (b < 0.0):
-            piece.append(complex(ring[i] + a / (a - b) * (ring[i + 1] - ring[i])))
-        if b >= 0.0:
-            piece.append(complex(ring[i + 1]))
-        elif piece:
-            found.append(np.array([[v.real, v.imag] for v in piece]))
-            piece = []
-    return found
-
-
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for a buffer distance d_b [m]; cached for each model."""
-    return OffsetContours(model, d_b)
-
-
-@kept_per_model(8)
-def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the configured kind, for the pairs of the clouds; cached for each model."""
-    table = offset_contours(model, config.d_b).table
-    if config.kind == "surface":
-        return BorderSearch(table)
-    return BorderSearch(table, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
-
-
-def _table(parts: list[ConvexPart], d_b: float) -> Table:
-    """The rings of all visible shapes, by decreasing horizontal size."""
-    parts = sorted(parts, key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
+    """The contours for d_b [m], with l_m's shapes by decreasing size; cached for each model."""
+    parts = MobileBody(model).parts
+    parts.sort(key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
     traced = [(part, rings) for part in parts if len((rings := _trace_rings(part, d_b))[0])]
     kept = list(range(len(traced)))
 
@@ -122,7 +51,7 @@ def _table(parts: list[ConvexPart], d_b: float) -> Table:
     tangents /= np.abs(tangents)
     blocks = np.arange(0, RAYS, BLOCK)[:, None] + np.arange(BLOCK + 1)
     middles = vertices[:, blocks[:, BLOCK // 2]]
-    return Table(
+    return OffsetContours(
         np.cumsum([0, *(len(heights) for heights, _ in rings)]),
         np.concatenate([none[:, 0], *(heights for heights, _ in rings)]),
         vertices,
@@ -130,6 +59,15 @@ def _table(parts: list[ConvexPart], d_b: float) -> Table:
         np.concatenate([none, *map(shown, kept)]),
         np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2, initial=0.0),
     )
+
+
+@kept_per_model(8)
+def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> Any:
+    """The struct `BORDER` of the configured kind, for the pairs of the clouds; cached by model."""
+    contours = offset_contours(model, config.d_b)
+    if config.kind == "surface":
+        return border_struct(contours)
+    return border_struct(contours, [construct_dbb(each, config.d_b, config.eps) for each in clouds])
 
 
 def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
@@ -142,10 +80,8 @@ def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
 
 
 def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
-    """Trace the part above the floor of a convex shape's offset at the distance d_b [m].
-
-    Rays start at the centre of the shape. If a slice of the offset does not contain this centre,
-    for example for a slanted shape, the rays at each height start at the centre of the slice.
+    """Trace the part above the floor of a convex shape's offset at the distance d_b [m], by rays
+    from the shape's centre or, if a slice does not contain it, from the centre of each slice.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b).tolist()
@@ -158,16 +94,18 @@ def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
 
 
 class _Tracer:
-    """Follows rays to the boundary of one shape's offset, height by height."""
+    """Follows rays to the boundary of one shape's offset, at each height [m] with a slice of it.
+
+    A result is the height, the start (2,) [m] of the rays and their lengths (RAYS,) [m].
+    """
 
     def __init__(self, part: ConvexPart, d_b: float) -> None:
         self._part, self._d_b = part, d_b
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
-    def from_middle(self, heights: list[float]) -> list[_Level] | None:
+    def from_middle(self, heights: list[float]) -> list[tuple[float, Array, Array]] | None:
         """From the shape's centre, trace each height with a slice; None if a slice excludes it."""
-        found: list[_Level] = []
-        ends = np.full(RAYS, -np.inf)
+        found, ends = [], np.full(RAYS, -np.inf)
         for z in heights:
             ends = self._ends(self._middle, z, ends)
             hits = np.isfinite(ends)
@@ -177,13 +115,11 @@ class _Tracer:
                 return None
         return found
 
-    def from_slices(self, heights: list[float]) -> list[_Level]:
+    def from_slices(self, heights: list[float]) -> list[tuple[float, Array, Array]]:
         """Trace each height from the centre of the slice at this height."""
-        found: list[_Level] = []
-        centre = self._middle
+        found, centre = [], self._middle
         for z in heights:
-            inside = self._inside(centre, z)
-            if inside is None:
+            if (inside := self._inside(centre, z)) is None:
                 continue
             ring = inside + self._ends(inside, z)[:, None] * _RAYS[:, :2]
             centre = (ring.min(axis=0) + ring.max(axis=0)) / 2
@@ -193,40 +129,47 @@ class _Tracer:
         return found
 
     def _inside(self, centre: Array, z: float) -> Array | None:
-        """A point (2,) [m] inside the slice at height z [m], or None if the slice is empty.
-
-        Rays that start outside of the slice end at its far side. The mean of these ends is inside,
-        because the slice is convex.
-        """
+        """A point (2,) [m] inside the convex slice at height z [m]; None if it is empty."""
         d, n_x, n_y, _ = self._part.shapes.distances_and_normals(np.array([[*centre, z]]))[0]
         for start in (centre, centre - d * np.array([n_x, n_y]), self._middle):
             ends = self._ends(start, z)
             hits = np.isfinite(ends)
             if hits.all():
                 return start
-            if hits.any():
+            if hits.any():  # the mean of the far side's ends
                 inside = (start + ends[hits, None] * _RAYS[hits, :2]).mean(axis=0)
                 if np.isfinite(self._ends(inside, z)).all():
                     return inside
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | float = -np.inf) -> Array:
-        """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z; −inf without a hit.
-
-        The finite numbers of `start` are the initial estimates.
+        """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z; −inf without a hit. The
+        finite numbers of `start` are the initial estimates.
         """
-        part = self._part
+        part, origin, ends = self._part, np.array([*centre, z]), np.full(RAYS, -np.inf)
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))
-        first = np.where(np.isfinite(start), start, np.full(RAYS, beyond))
-        return part.ray_ends(np.array([*centre, z]), _RAYS, first, self._d_b)
+        s, left = np.where(np.isfinite(start), start, np.full(RAYS, beyond)), np.arange(RAYS)
+        # The distance to a convex shape is convex along a ray: where it increases, the first step
+        # ends at the outer root or beyond, and the next steps approach the root from outside.
+        for _ in range(_MAX_NEWTON):
+            found = part.shapes.distances_and_normals(origin + s[left, None] * _RAYS[left])
+            off, slope = found[:, 0] - self._d_b, (found[:, 1:] * _RAYS[left]).sum(axis=1)
+            there, rising = np.abs(off) < _AT_END, slope > 1e-9
+            on_border = left[there & (slope >= 0.0)]
+            ends[on_border] = s[on_border]
+            further = ~there & rising
+            left = left[further]
+            if not len(left):
+                return ends
+            s[left] -= off[further] / slope[further]
+        ends[left] = s[left]
+        return ends
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
-    """(H,) [m] the heights at which a shape's offset is traced.
-
-    They start at the floor or, for a shape high above the floor, on an arc below its bottom. They
-    are at most 10 mm apart: in height beside the shape, along the arc above and below it.
+    """(H,) [m] the heights at which a shape's offset is traced, at most 10 mm apart beside the
+    shape, along the arc above it and, if it is high above the floor, along the arc below it.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

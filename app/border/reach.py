@@ -5,7 +5,6 @@ integral of |det J| over the joint positions that lead into a region of poses is
 solutions, integrated over the poses in the region.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -34,6 +33,14 @@ class Chain:
     end-effector, of the frame of the body's first shape; the base is at the origin. The origin of
     the frame is the body's point. The pose has as many coordinates as the joints can change
     independently: six; five, without the rotation about the z axis; or three, of the position.
+
+    Attributes:
+        joints: Indices within the arm of the k joints that move the body.
+        pin: pinocchio's model of the chain.
+        lower, upper: (k,) [rad or m] joint limits.
+        turns: (k,) whether each joint is revolute.
+        coordinates: Number of coordinates of the pose: 6, 5 or 3.
+        free: Number of joints that must be fixed so that a pose determines the other joints.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
@@ -47,25 +54,18 @@ class Chain:
             )
         self.body = body
         self.joints = [joint - 2 for joint in joints]
-        """Indices within the arm of the joints that move the body."""
         still = [j for j in range(1, model.pin.njoints) if j not in joints]
         self.pin = pin.buildReducedModel(model.pin, still, pin.neutral(model.pin))
-        """pinocchio's model of the chain."""
         self._data, self._placement = self.pin.createData(), _carrier(model, body)[1]
         self.lower, self.upper = model.q_lower[self.joints], model.q_upper[self.joints]
-        """(k,) [rad or m] joint limits."""
         kinds = [joint.shortname() for joint in self.pin.joints][1:]
         self.turns = np.array([kind.startswith("JointModelR") for kind in kinds])
-        """(k,) whether each joint is revolute."""
         self.coordinates = next((n for n in (6, 5) if n <= len(joints) and self._meets(n)), 3)
-        """Number of coordinates of the pose: 6, 5 or 3."""
         self.free = len(joints) - self.coordinates
-        """Number of joints that must be fixed so that a pose determines the other joints."""
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
-        """The body's pose T_base_point at joint positions q (k,), and its Jacobian (6, k).
-
-        The Jacobian is in the axes of the body's frame: three linear, then three angular rows.
+        """The body's pose T_base_point at q (k,), and its Jacobian (6, k) in its axes, linear
+        first.
         """
         J = pin.computeJointJacobians(self.pin, self._data, q)
         at = self._data.oMi[len(self.joints)] * self._placement
@@ -111,12 +111,9 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Redundant joints, as indices in the chain: if they are fixed, a pose determines the others.
-
-    If several choices are possible, the joints nearest to the body are chosen.
-
-    Raises:
-        DescriptionError: For each choice of fixed joints, the Jacobian of the others is singular.
+    """Redundant joints, as indices in the chain and as near to the body as possible: if they are
+    fixed, a pose determines the others. A DescriptionError if the others' Jacobian is always
+    singular.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(20)]
@@ -132,9 +129,7 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
 
 PEAK = 100.0  # [-] largest mean reachability in a shell around the mount: the paper's C
 FINE_SAMPLES, FINE_SPACING = 200_000, 0.05
-"""[-] number of joint positions and [m] spacing of the lattice of `dbb reach`, which takes seconds;
-the error of A is about 1 %."""
-
+"""[-] number of joint positions and [m] spacing of the lattice of `dbb reach`; A's error is 1 %."""
 _ORIENTATIONS = {6: 8 * np.pi**2, 5: 4 * np.pi, 3: 1.0}
 """[-] volume of the orientations of a pose, by its number of coordinates: 6 for all orientations, 5
 for directions, 3 for positions without orientation."""
@@ -145,22 +140,16 @@ class ReachMap:
     """Reachability of one body on a lattice around the arm's mount."""
 
     body: str
-    points: Array
-    """(N, 3) [m] positions of the body's point (`Chain`) in the base's frame."""
+    points: Array  # (N, 3) [m] positions of the body's point (`Chain`) in the base's frame
     found: Array
     """(N,) [-] number of inverse kinematics solutions at each position, within the joint limits and
     without self-collision; the mean over orientations and positions of the fixed joints."""
     samples: int
-    """Number of joint positions."""
-    reach: Array
-    """(N,) [-] `found`, scaled to a mean of 100 in the best shell."""
-    p_base: Array
-    """(3,) [m] the arm's mount in the base's frame."""
-    spacing_m: float
-    """[m] spacing of the lattice."""
+    reach: Array  # (N,) [-] `found`, scaled to a mean of 100 in the best shell
+    p_base: Array  # (3,) [m] the arm's mount in the base's frame
+    spacing_m: float  # [m] spacing of the lattice
     seed: int
-    free_joints: tuple[str, ...]
-    """Names of the fixed joints; empty if the chain is not redundant."""
+    free_joints: tuple[str, ...]  # names of the fixed joints; empty if the chain is not redundant
 
     @property
     def rho(self) -> Array:
@@ -171,23 +160,23 @@ class ReachMap:
 def sample_reach_map(
     model: RobotModel, body: str, *, samples: int = 20_000, spacing: float = 0.08, seed: int = 0
 ) -> ReachMap:
-    """Compute the mean number of inverse kinematics solutions for a body in the whole workspace.
+    """The mean number of inverse kinematics solutions for a body in the whole workspace, from
+    `samples` random joint positions, on a lattice with `spacing` [m] in a ball around the mount.
 
-    `samples` is the number of random joint positions. The lattice with `spacing` [m] fills a ball
-    around the mount that contains the whole workspace.
-
-    Raises:
-        ConfigError: Fewer than three joints move the body.
-        DescriptionError: Each sample is in self-collision, or as for `free_joints`.
+    Raises a DescriptionError if each sample is in self-collision, and the errors of `Chain` and
+    `free_joints`.
     """
     chain, p_base = Chain(model, body), model.p_base()
-    free, is_free = free_joints(chain), _clearance(model, chain)
+    free, within = free_joints(chain), model.body_names[: model.body_names.index(body) + 1]
+    distances = PairDistances(model, [p for p in candidate_pairs(model) if p.b in within])
+    posture, moved = model.configuration((0.0, 0.0, 0.0), model.q_lower), np.array(chain.joints) + 4
     solved = [i for i in range(len(chain.joints)) if i not in free]
     rng, size = np.random.default_rng(seed), chain.coordinates
     steps, J = np.zeros((samples, 3), dtype=int), np.zeros((samples, size, size))
     for i in range(samples):
-        q = chain.random(rng)
-        if is_free(q):
+        q = posture[moved] = chain.random(rng)
+        distances.update(posture)
+        if min(distances.distances(), default=1.0) > 0.0:
             at, jacobian = chain.pose_and_jacobian(q)
             steps[i] = np.round((at.translation - p_base) / spacing)
             J[i] = jacobian[:size, solved]
@@ -231,18 +220,3 @@ def lattice(radius: float, spacing: float) -> Array:
     along = np.arange(-reach, reach + 1)
     steps = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
     return steps[(steps**2).sum(axis=1) <= (radius / spacing) ** 2].astype(np.int16)
-
-
-def _clearance(model: RobotModel, chain: Chain) -> Callable[[Array], bool]:
-    """A function of positions (k,): whether the bodies from the base to the chain's are apart."""
-    names = model.body_names
-    known = names[: names.index(chain.body) + 1]
-    distances = PairDistances(model, [p for p in candidate_pairs(model) if p.b in known])
-    q, moved = model.configuration((0.0, 0.0, 0.0), model.q_lower), np.array(chain.joints) + 4
-
-    def is_free(positions: Array) -> bool:
-        q[moved] = positions
-        distances.update(q)
-        return min(distances.distances(), default=1.0) > 0.0
-
-    return is_free

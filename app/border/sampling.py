@@ -1,7 +1,6 @@
 """Sampling of P_i for all pairs of arm and base: random postures, then a flood of each sector.
 
-In a flood, the arm's closest point moves from known postures into empty neighbouring voxels. With
-more than one process, the processes execute both stages in parallel.
+In a flood, the arm's closest point moves from known postures into empty neighbouring voxels.
 """
 
 from __future__ import annotations
@@ -15,14 +14,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from app.border.dbb import (
-    POINT_RANGE,
-    POINT_UNIT,
-    Cloud,
-    make_cloud,
-    quantise_distances,
-    quantise_points,
-)
+from app.border import dbb
+from app.border.dbb import POINT_UNIT, Cloud, quantise_points
 from app.border.mobile import MobileBody
 from app.errors import DescriptionError
 from app.jobs.pool import Workers
@@ -36,20 +29,15 @@ from app.strict import Array, Strict
 class SamplingConfig(Strict):
     """Parameters of the sampling of joint positions, for the pairs of (1) and for P_i."""
 
-    seed: int = Field(default=0, ge=0)
-    """[-] seed of all random numbers of the sampling."""
-    pair_samples: int = Field(default=100_000, ge=100)
-    """[-] number of joint positions for (1)."""
+    seed: int = Field(default=0, ge=0)  # [-] seed of all random numbers of the sampling
+    pair_samples: int = Field(default=100_000, ge=100)  # [-] number of joint positions for (1)
     cloud_samples: int = Field(default=200_000, ge=100)
     """[-] number of random joint positions per pair; those in range start the flood of P_i."""
-    d_low: float = Field(default=0.03, ge=0.0, le=0.3)
-    """[m] smallest distance d_m of P_i."""
-    d_high: float = Field(default=0.32, ge=0.05, le=0.6)
-    """[m] largest distance d_m of P_i."""
+    d_low: float = Field(default=0.03, ge=0.0, le=0.3)  # [m] smallest distance d_m of P_i
+    d_high: float = Field(default=0.32, ge=0.05, le=0.6)  # [m] largest distance d_m of P_i
     voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)
     """[m] horizontal side of a voxel; P_i has at most one point in each voxel."""
-    voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)
-    """[m] height of a voxel."""
+    voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)  # [m] height of a voxel
     sectors: int = Field(default=16, ge=1, le=64)
     """[-] number of sectors around the base's centre that are flooded separately."""
     rounds: int = Field(default=4, ge=1, le=16)
@@ -82,17 +70,12 @@ def sample_clouds(
     """P_i of Algorithm 1 by the name of the pair, for `pairs` of arm and base: sampled points.
 
     The points are closest points on the arm's body, one per voxel. Random sampling alone finds
-    almost no points at the base's sides. Therefore a flood follows: from known postures, the arm
-    moves such that its closest point enters an empty neighbouring voxel. The second and later
-    floods start at the borders between sectors. A posture must satisfy the joint limits, and its
-    distance must be in the sampled range; collisions of other pairs are allowed.
+    almost no points at the base's sides; therefore floods follow. A posture must satisfy the joint
+    limits, and its distance must be in the sampled range; collisions of other pairs are allowed.
 
     `progress` displays a progress bar on standard error. `on_progress` is called with the share of
-    the work that is done, 0 to 1. `processes` is the number of processes, by default one for each
-    usable core; it has no effect on the result.
-
-    Raises:
-        DescriptionError: The base is too large for the stored points.
+    the work that is done. `processes` is the number of parallel processes, by default one for each
+    usable core. Raises a DescriptionError if the base is too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
     children = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -117,8 +100,8 @@ def sample_clouds(
             found, report = kept, lambda _: None
     clouds = {}
     for pair, (_, points) in kept.items():
-        distances = quantise_distances(context.body.distance(points * POINT_UNIT))
-        clouds[pair.name] = make_cloud(pair.name, points, distances)
+        distances = dbb.quantise_distances(context.body.distance(points * POINT_UNIT))
+        clouds[pair.name] = dbb.make_cloud(pair.name, points, distances)
     return clouds
 
 
@@ -128,20 +111,18 @@ def _flood_jobs(
     found: Mapping[Pair, Kept],
     kept: Mapping[Pair, Kept],
 ) -> list[SectorJob]:
-    """A job for each sector and pair with an open voxel at or next to a posture of `found`.
-
-    `kept` are the postures of the previous floods; after the first flood, only postures of other
-    sectors count.
+    """A job for each sector and pair with an open voxel at or next to a posture of `found`; after
+    the first flood, which fills `kept`, postures of the sector itself do not count.
     """
     jobs = []
     for pair, seed in seeds.items():
         taken, given = voxels.keys(voxels.cells(kept[pair].points)), found[pair]
         free = np.ones(voxels.count, dtype=bool)
         free[taken] = False
-        sectors = voxels.leads_to(given.points, free)
+        around = voxels.keys(voxels.cells(given.points)[:, None, :] + _AROUND)
+        sectors = np.where((around >= 0) & free[around], voxels.sectors(around), -1)
         if len(taken):  # a sector has already used its own postures
-            home = voxels.sectors(voxels.keys(voxels.cells(given.points)))
-            sectors[sectors == home[:, None]] = -1
+            sectors[sectors == voxels.sectors(around[:, :1])] = -1
         owner = voxels.sectors(taken)
         for sector, child in enumerate(seed.spawn(voxels.sector_count)):
             leads = (sectors == sector).any(axis=1)
@@ -154,10 +135,8 @@ def _flood_jobs(
 class Kept(NamedTuple):
     """Known postures of one pair."""
 
-    q_m: Array
-    """(N, n_m) float32 [rad or m] joint positions."""
-    points: Array
-    """(N, 3) int16 points of the postures, as in `Cloud`."""
+    q_m: Array  # (N, n_m) float32 [rad or m] joint positions
+    points: Array  # (N, 3) int16 points of the postures, as in `Cloud`
 
 
 Columns = TypeVar("Columns", Kept, "Witnesses")
@@ -180,10 +159,8 @@ class SectorJob(NamedTuple):
     pair: Pair
     seed: np.random.SeedSequence
     sector: int
-    sources: Array
-    """(N, n_m) float32 [rad or m] starting postures."""
-    taken: Array
-    """(M,) indices of the sector's filled voxels."""
+    sources: Array  # (N, n_m) float32 [rad or m] starting postures
+    taken: Array  # (M,) indices of the sector's filled voxels
 
 
 def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> Kept:
@@ -192,27 +169,26 @@ def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> 
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
     found = PairReader(context.model, pair).witnesses(q_m)
-    inside = (found.d > config.d_low) & (found.d < config.d_high)
-    return Kept(q_m[inside].astype(np.float32), quantise_points(found.p_b[inside]))
+    return _kept(_rows(found, (found.d > config.d_low) & (found.d < config.d_high)))
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
     """Find postures for the open voxels of a sector."""
     q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
-    return _Flood(context, job).run(q_m)
+    return _kept(_Flood(context, job).run(q_m))
 
 
 class Witnesses(NamedTuple):
     """Closest points of many postures."""
 
-    q_m: Array
-    """(N, n_m) [rad or m] the postures."""
-    d: Array
-    """(N,) [m] signed distance of the pair."""
-    p_b: Array
-    """(N, 3) [m] closest point on the arm's body, in the base's frame."""
-    normal: Array
-    """(N, 3) unit vectors from l_m to the body."""
+    q_m: Array  # (N, n_m) [rad or m] the postures
+    d: Array  # (N,) [m] signed distance of the pair
+    p_b: Array  # (N, 3) [m] closest point on the arm's body, in the base's frame
+    normal: Array  # (N, 3) unit vectors from l_m to the body
+
+
+def _kept(found: Witnesses) -> Kept:
+    return Kept(found.q_m.astype(np.float32), quantise_points(found.p_b))
 
 
 class PairReader:
@@ -236,10 +212,7 @@ class PairReader:
         return found
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
-        """(N, 3, n_m) Jacobians of points fixed to the body, at p_b (N, 3) [m] in postures q_m.
-
-        The closest point also moves on the body, so these Jacobians only approximate its motion.
-        """
+        """(N, 3, n_m) Jacobians of points p_b (N, 3) [m] on the body in postures q_m."""
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
         J, origin = np.empty((len(q_m), 6, model.nv)), np.empty((len(q_m), 3))
         for i, posture in enumerate(q_m):
@@ -265,11 +238,11 @@ class _Flood:
         travel = self._model.q_upper - self._model.q_lower
         self._scale = np.minimum(travel, 2 * np.pi) / (2 * np.pi)
 
-    def run(self, sources: Array) -> Kept:
-        """Flood the open voxels from postures (N, n_m), which are kept if they are in open voxels.
+    def run(self, sources: Array) -> Witnesses:
+        """Flood the open voxels from postures (N, n_m): one posture for each voxel that is reached.
 
-        In each of up to `retries` + 1 attempts, one posture of a batch makes a step into each open
-        voxel next to the batch.
+        In up to `retries` + 1 attempts, one posture of a batch steps into each open voxel beside
+        the batch.
         """
         found = self._reader.witnesses(sources)
         accepted = [self._accepted(found)]
@@ -282,16 +255,14 @@ class _Flood:
                 waiting[0].append(fresh)
             if round_ < self._retries:
                 waiting[round_ + 1].append(found)
-        found = _joined(accepted)
-        return Kept(found.q_m.astype(np.float32), quantise_points(found.p_b))
+        return _joined(accepted)
 
     def _accepted(self, found: Witnesses) -> Witnesses:
         """Select one posture in range for each open voxel that has some, and close the voxel."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
         fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
-        _, first = np.unique(keys[candidates], return_index=True)
-        fresh = candidates[first]
+        fresh = candidates[np.unique(keys[candidates], return_index=True)[1]]
         self._open[keys[fresh]] = False
         return _rows(found, fresh)
 
@@ -304,7 +275,7 @@ class _Flood:
         useful = (keys >= 0) & self._open[keys] & (ahead > self._low) & (ahead < self._high)
         source, side = np.nonzero(useful)
         # Without this selection, two postures would try the same voxel in nearly half of all tries.
-        _, first = np.unique(keys[source, side], return_index=True)
+        first = np.unique(keys[source, side], return_index=True)[1]
         source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
         J = self._reader.jacobians(found.q_m[needed], found.p_b[needed])[row]
@@ -312,10 +283,8 @@ class _Flood:
         return self._reader.witnesses(tried)
 
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
-        """Postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m] from q.
-
-        Retries add random self-motion, which grows with each retry. Joints that would leave their
-        position limits do not move.
+        """Postures (N, n_m) whose closest points have moved by about `step` (N, 3) [m] from q, with
+        random self-motion in retries; joints that would leave their limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -326,9 +295,8 @@ class _Flood:
 
 
 def _damped(J: Array, step: Array, free: Array) -> Array:
-    """The damped least-squares joint steps (N, n_m), ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ).
-
-    s = `step` (N, 3) [m] is the desired step of a point, ξ = `free` (N, n_m), λ = `_DAMPING`.
+    """Damped least-squares joint steps (N, n_m), ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ), for the steps s
+    = `step` (N, 3) [m] of a point, with ξ = `free` (N, n_m) and λ = `_DAMPING`.
     """
     J_T = J.transpose(0, 2, 1)
     missing = step[:, :, None] - J @ free[:, :, None]
@@ -360,25 +328,22 @@ _AROUND = np.array(
 
 class Voxels:
     """A grid of voxels in the base's frame, above the floor and around a box that encloses l_m.
-
-    Points are int16 in units of 0.1 mm, so that a point has the same voxel on all machines.
+    Points are int16 in units of 0.1 mm, for the same voxels on all machines.
     """
 
     def __init__(
         self, lower: Array, upper: Array, *, reach: float, size: Array, sectors: int
     ) -> None:
-        """Create the grid up to the distance `reach` [m] from the box.
+        """Create the grid up to the distance `reach` [m] from the box with the corners `lower` and
+        `upper` (3,) [m], with voxels of the sides `size` (3,) [m] and equal `sectors` around the
+        base's centre.
 
-        `lower` and `upper` (3,) [m] are corners of the box, `size` (3,) [m] are the sides of a
-        voxel, and `sectors` is the number of equal sectors around the base's centre.
-
-        Raises:
-            DescriptionError: The base is too large for int16 points.
+        Raises a DescriptionError if the base is too large for int16 points.
         """
         low, high = lower - reach, upper + reach
-        if max(np.abs(low).max(), np.abs(high).max()) > POINT_RANGE:
+        if max(np.abs(low).max(), np.abs(high).max()) > dbb.POINT_RANGE:
             raise DescriptionError(
-                f"bodies: the base extends more than {POINT_RANGE - reach:g} m "
+                f"bodies: the base extends more than {dbb.POINT_RANGE - reach:g} m "
                 "from the base's centre, too far for a stored border"
             )
         low[2] = 0.0  # no points below the floor
@@ -414,8 +379,3 @@ class Voxels:
     def sectors(self, keys: Array) -> Array:
         """(…) sector of the voxels with the indices `keys` (…)."""
         return self._sectors[keys % len(self._sectors)]
-
-    def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the voxels at and next to points (N, 3); −1 if outside or not free."""
-        keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
-        return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

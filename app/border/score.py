@@ -20,8 +20,7 @@ from app.strict import Array
 
 FLOOR = 0.05  # [-] share of C below which the reachability of (9) is modified to stay positive
 SHELL = 0.05  # [m] thickness of a shell around the mount
-ROUNDING = 1e-6
-"""[-] tolerance of a shell's inner border, relative to the shell's thickness."""
+ROUNDING = 1e-6  # [-] tolerance of a shell's inner border, relative to the shell's thickness
 _FEWEST = 20  # [-] smallest number of values in a shell whose mean can be the peak
 
 
@@ -29,16 +28,11 @@ _FEWEST = 20  # [-] smallest number of values in a shell whose mean can be the p
 class ScoreField:
     """The score 𝒮 of points (…, 3) [m] in the base's frame, for one body of a robot's arm."""
 
-    base: BaseKind
-    """The base, whose signed measure replaces the determinant of (7)."""
-    p_base: Array
-    """(3,) [m] p_base of (9), the arm's mount."""
-    A: float
-    """[1/m²] A of (9), half of the curvature at the peak."""
-    B: float
-    """[m] B of (9), the distance of the best reachability."""
-    C: float
-    """[-] C of (9), the best reachability."""
+    base: BaseKind  # the base, whose signed measure replaces the determinant of (7)
+    p_base: Array  # (3,) [m] p_base of (9), the arm's mount
+    A: float  # [1/m²] A of (9), half of the curvature at the peak
+    B: float  # [m] B of (9), the distance of the best reachability
+    C: float  # [-] C of (9), the best reachability
 
     @classmethod
     def of(cls, model: RobotModel, body: str) -> ScoreField:
@@ -53,15 +47,15 @@ class ScoreField:
 
     def singularity(self, p: Array) -> Array:
         """(…) |measure| at p (…, 3) [m]; for a differential base, this is det(J_c J_cᵀ) of (7)."""
-        return np.abs(self.base.singularity(p)[0])
+        return np.abs(self.base.measure.at(np.asarray(p, dtype=float)[..., 0]))
 
     def reachability(self, p: Array) -> Array:
         """(…) [-] R at p (…, 3) [m], a function of the distance from the mount.
 
         Paper: Eq. (9).
         Departure: at distances that differ much from B, (9) is negative and would change the
-        score's sign. Below R_1 = 0.05 C the function continues as R_1² / (2 R_1 − R), with the same
-        value and slope at R_1. It is positive everywhere, and its gradient is zero only at B.
+        score's sign. Where (9) is below R_1 = 0.05 C, R_1² / (2 R_1 − R) replaces it, with the same
+        value and slope at R_1. Thus R is positive everywhere, and its gradient is zero only at B.
         """
         return self._fields(p)[..., 0]
 
@@ -88,9 +82,8 @@ class ScoreField:
 
 @compiled()
 def field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
-    """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m].
-
-    `coefficients` are `ScoreField.coefficients`. ∇R counts as 0 at the mount: it is undefined.
+    """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m], from `ScoreField.coefficients`. ∇R
+    counts as 0 at the mount, where it is undefined.
     """
     constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
     A, B, C = coefficients[6], coefficients[7], coefficients[8]
@@ -119,20 +112,14 @@ def _fields_at(coefficients: Array, points: Array) -> Array:
 class RadialProfile:
     """Values as a function of the distance from the arm's mount, for K shells around the mount."""
 
-    rho_m: Array
-    """(K,) [m] middle of each shell."""
-    mean: Array
-    """(K,) mean of the values in each shell, NaN without values."""
-    spread: Array
-    """(K,) standard deviation of the values in each shell."""
-    count: Array
-    """(K,) number of values in each shell."""
+    rho_m: Array  # (K,) [m] middle of each shell
+    mean: Array  # (K,) mean of the values in each shell, NaN without values
+    spread: Array  # (K,) standard deviation of the values in each shell
+    count: Array  # (K,) number of values in each shell
 
     def peak(self) -> int:
-        """Index of the shell with the largest mean, of those with at least 20 values.
-
-        If no shell has 20 values, the shells with the most values are compared. Raises a ValueError
-        if all shells are empty.
+        """Index of the shell with the largest mean, of those with at least 20 values or, if there
+        is none, of those with the most values; a ValueError if all shells are empty.
         """
         if not self.count.any():
             raise ValueError("there are no values")
@@ -140,9 +127,7 @@ class RadialProfile:
         return int(np.argmax(np.where(enough, self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
-        """The range [m] around the peak in which each shell's mean is at least `share` [-] of the
-        peak's mean.
-        """
+        """The range [m] around the peak with means of at least `share` [-] of the peak's mean."""
         peak = self.peak()
         low = np.flatnonzero(~(self.mean >= share * self.mean[peak]))  # also shells without values
         first = low[low < peak].max(initial=-1) + 1
@@ -170,17 +155,13 @@ class ReachFit(NamedTuple):
     B_m: float
     C: float
     r_squared: float
-    """[-] share of the variance of the shells' means that (9) explains; the number of positions in
-    a shell is the weight of its mean."""
-    rms: float
-    """[-] root mean square of the residuals of the shells' means, with the same weights."""
-    r_squared_positions: float
-    """[-] share of the variance of single positions that (9) explains."""
+    """[-] share of the variance of the shells' means (weighted by count) that (9) explains."""
+    rms: float  # [-] root mean square of the residuals of the shells' means, with the same weights
+    r_squared_positions: float  # [-] share of the variance of single positions that (9) explains
     rho_min_m: float
     rho_max_m: float
     """[m] smallest and largest fitted distance."""
-    points: int
-    """Number of fitted positions."""
+    points: int  # number of fitted positions
 
     def at(self, rho: Array) -> Array:
         """(9) as printed, at distances rho [m]; the value can be negative."""
@@ -188,17 +169,14 @@ class ReachFit(NamedTuple):
 
 
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
-    """Fit (9) to positions by least squares with equal weights.
+    """Fit (9) by least squares to positions at distances rho (N,) [m] from the arm's mount.
 
-    `rho` (N,) [m] is the distance of each position from the arm's mount, `reach` (N,) [-] its
-    reachability, the mean over orientations with zeros included. The fit uses the best shell, and
-    the shells on both sides of it up to the first one whose mean is below `share` [-] of the best.
+    `reach` (N,) [-] is the reachability of each position. The fit uses the best shell, and the
+    shells on both sides of it up to the first one whose mean is below `share` [-] of the best.
+    Raises a ValueError if these have fewer than four different distances, or if the parabola has no
+    maximum at a positive distance.
 
     Paper: Eq. (9).
-
-    Raises:
-        ValueError: There are fewer than four different distances, or the parabola has no maximum at
-            a positive distance.
     """
     rho, reach = np.asarray(rho, dtype=float), np.asarray(reach, dtype=float)
     low, high = radial_profile(rho, reach).band(share)
@@ -211,8 +189,7 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     c, b, a = polynomial.convert().coef
     if not a < 0 < b:
         raise ValueError("the reachability does not decrease on both sides of a best distance")
-    B = -b / (2 * a)
-    left = y - polynomial(x)
+    B, left = -b / (2 * a), y - polynomial(x)
     values, rest = radial_profile(x, y), radial_profile(x, left)
     there = values.count > 0
     mean, missed, weight = values.mean[there], rest.mean[there], values.count[there]

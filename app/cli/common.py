@@ -15,7 +15,6 @@ from app.simulation.case import RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.words import number_text
 from app.studies.runs import json_text
-from app.system import home_expanded
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -56,16 +55,15 @@ def print_json(result: object) -> None:
     print(json_text(result))
 
 
-def print_result(result: Mapping[str, Any], *, json: bool) -> None:
+def print_result(result: Mapping[str, Any], *, json: bool, indent: str = "") -> None:
     """Print a command's results: with `json` as one JSON object, otherwise one on each line."""
-    print_json(result) if json else _print_lines(result)
-
-
-def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
+    if json:
+        print_json(result)
+        return
     for key, value in result.items():
         if isinstance(value, dict) and value:
             show(f"{indent}{key}")
-            _print_lines(value, indent + "  ")
+            print_result(value, json=False, indent=indent + "  ")
         else:
             text = f"{value:.4g}" if isinstance(value, float) else number_text(value)
             show(f"{indent}{key:28} {text}".rstrip())
@@ -86,7 +84,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
     """The run that `word` names: a scenario by its name, or a case by its file."""
     if is_case(word):
-        return spec_of_case(home_expanded(word), setup, word, config=config)
+        return spec_of_case(Path(word), setup, word, config=config)
     return spec_of_scenario(word, setup, config)
 
 
@@ -108,16 +106,17 @@ def spec_of_scenario(
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
     """The run of a case; prints changes of version and parameters since the case was written.
 
-    `setup` can replace controller and plant. `check_no_others` refuses a robot and a seed in
-    `setup`, and the user's `others` options; `word` names the case in its message. An unreadable
-    or invalid file raises a CaseError.
+    `setup` can replace controller and plant. A robot or a seed in `setup`, or an option in `others`
+    that is not None, raises the ConfigError of `check_no_others`, whose argument `case` is `word`.
+    An unreadable or invalid file raises a CaseError.
     """
     check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
     case = read_case(file)
     for difference in case.differences():
         say(difference)
-    own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
-    return RunSpec(scenario=case.scenario(), config=case.config(), **asdict(Setup(**(own | setup))))
+    run = case.spec()
+    own = {name: getattr(run, name) for name in Setup.__dataclass_fields__}
+    return run._replace(**asdict(Setup(**own | setup)))
 
 
 def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
@@ -140,7 +139,7 @@ def filmed(
 
 
 def is_case(word: str) -> bool:
-    """True for the file of a case (.json), False for a scenario; else an `UnknownNameError`."""
+    """Whether a word names a case's file (.json), not a scenario; else an UnknownNameError."""
     if word.lower().endswith(".json"):
         return True
     check_name("scenario", word, SCENARIOS)

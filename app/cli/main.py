@@ -29,7 +29,6 @@ COMMANDS = {
 """The commands by topic, each with the module that defines its function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _NARROWEST = 40  # [-] smallest number of columns of a help text
-_ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
 def console() -> NoReturn:
@@ -67,17 +66,15 @@ def main(args: list[str] | None = None) -> None:
         with ending_signals_raised(), extras_named():
             _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
+        return
     except DbbError as error:
-        print(printable(f"dbb: error: {error}"), file=sys.stderr)
-        sys.exit(2)
+        fault = str(error)
     except MemoryError as error:
-        print(f"dbb: error: too little memory: {error}", file=sys.stderr)
-        sys.exit(2)
+        fault = f"too little memory: {error}"
     except ImportError as error:
         if not str(error.path).endswith(".so"):  # a defect of this program
             raise
-        print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
-        sys.exit(2)
+        fault = f"a library cannot be loaded: {error}"
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "
         try:
@@ -88,11 +85,12 @@ def main(args: list[str] | None = None) -> None:
                 error, where = lost, "the standard output: "
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
-        print(printable(f"dbb: error: {where}{error.strerror or error}"), file=sys.stderr)
-        sys.exit(2)
+        fault = f"{where}{error.strerror or error}"
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)
         sys.exit(130)
+    print(printable(f"dbb: error: {fault}"), file=sys.stderr)
+    sys.exit(2)
 
 
 class _Plain(logging.Formatter):
@@ -103,36 +101,32 @@ class _Plain(logging.Formatter):
 
 
 def _run(words: list[str]) -> None:
+    """Run a command; the modules of other commands are not imported."""
     if not words:
         sys.stderr.write(overview())
         sys.exit(2)
-    if words[0] in ("-h", "--help"):
+    name, *rest = words
+    if name in ("-h", "--help"):
         sys.stdout.write(overview())
-    elif words[0] == "--version":
+        return
+    if name == "--version":
         print(f"dbb {metadata.version('dbb-mobile-manipulator')}")
-    else:
-        _run_command(*words)
-
-
-def _run_command(name: str, *words: str) -> None:
-    """Run a command; the modules of other commands are not imported."""
+        return
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import REGISTRY, in_order
+    from app.cli.options import in_order
 
     if shutil.get_terminal_size().columns < _NARROWEST:
         os.environ["COLUMNS"] = str(_NARROWEST)  # in fewer columns tyro's help does not end
-    module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = in_order(words)
-    if choose := getattr(module, f"choose_{known}", None):
-        about, function, rest = choose(rest)
-        name = f"{name} {about}".strip()
-    else:
-        function = getattr(module, known)
+    module, rest = import_module(f"app.cli.{_MODULES[name]}"), in_order(rest)
+    function = getattr(module, name.replace("-", "_"))
+    if name == "run":  # each scenario has its own options
+        scenario, function, rest = module.choose_run(rest)
+        name = f"{name} {scenario}".strip()
     function.__doc__, description = _help_texts(function.__doc__ or "")
-    how: dict[str, Any] = {"config": (tyro.conf.DisallowNone,), "registry": REGISTRY}
-    tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, **how)
+    about: Any = {"prog": f"dbb {name}", "description": description}
+    tyro.cli(function, args=rest, config=(tyro.conf.DisallowNone,), **about)
 
 
 def _help_texts(doc: str) -> tuple[str, str]:
@@ -153,7 +147,8 @@ def _help_texts(doc: str) -> tuple[str, str]:
 
 def overview() -> str:
     """All commands, one on each line, read from the source files because imports take time."""
-    lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version", _ABOUT]
+    lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version"]
+    lines.append("Reactive self-collision avoidance for a mobile manipulator.")
     for title, commands in COMMANDS.items():
         lines.append(f"{title}:")
         for name, module in commands.items():

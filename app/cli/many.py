@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -18,7 +18,6 @@ from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
-_MAX_CASES = 10_000_000
 
 
 def reproduce(
@@ -99,11 +98,7 @@ def sweep(
     result["files"] = write_sweep(result, out)
     if json:
         print_json(result)
-    else:
-        _print_sweep(result, out)
-
-
-def _print_sweep(result: dict[str, Any], out: Path) -> None:
+        return
     found = [(name, *each) for name, kinds in result["summary"].items() for each in kinds.items()]
     for controller, kind, s in found:
         print(f"{controller}, {kind.replace('_', ' ')}:")
@@ -149,7 +144,7 @@ def study(
             Default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
-    check_range("--cases", cases, 1, _MAX_CASES)
+    check_range("--cases", cases, 1, 10_000_000)
     chosen, drawn = asdict(options.Setup(**setup)), StudyRange(**ranges)
     parameters = StudyParameters(**chosen, inside=inside, time_stamps=time_stamps, ranges=drawn)
     workers = options.check_processes(processes)

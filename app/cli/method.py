@@ -11,34 +11,29 @@ from app.cli.common import load_model, load_robot_and_border, print_json, print_
 from app.config import tunables
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError, check_name
-from app.strict import check_range
+from app.strict import Array, check_range
 from app.system import write_whole
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from app.border.cache import BorderData
-    from app.border.dbb import Border
-    from app.border.reach import ReachMap
-    from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
-_MAX_SAMPLES = 10_000_000  # [-] largest number of samples
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
 _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, for the end-effector
 
 
 def pairs(
-    robot: str = "husky_panda", samples: int = 100_000, seed: int = 0, json: options.Json = False
+    robot: options.Robot = "husky_panda",
+    samples: int = 100_000,
+    seed: int = 0,
+    json: options.Json = False,
 ) -> None:
     """Find the link pairs that can collide, by sampling (§2.1).
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         samples: Number of random postures of the arm.
         seed: Seed of the random postures.
     """
-    check_range("--samples", samples, 1, _MAX_SAMPLES)
+    check_range("--samples", samples, 1, 10_000_000)
     options.check_seed(seed)
     from app.robot.link_pairs import find_link_pairs
 
@@ -60,7 +55,7 @@ def pairs(
 
 def border(
     parameters: Annotated[options.Given, options.parameter_options(_OF_BORDER)],
-    robot: str = "husky_panda",
+    robot: options.Robot = "husky_panda",
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
     seed: int = 0,
     json: options.Json = False,
@@ -68,7 +63,6 @@ def border(
     """Load or sample the border of each pair of arm and base (§2.2).
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         out: Folder for a CSV file of each pair with the border's points in the base's frame [m].
         seed: Seed of the sampling; a different seed gives different points.
     """
@@ -77,6 +71,7 @@ def border(
     options.make_folder(out)
     from app.border.cache import load_border_data
     from app.border.dbb import construct_dbb
+    from app.border.mobile import MobileBody
     from app.border.sampling import SamplingConfig
 
     begin = perf_counter()
@@ -85,9 +80,20 @@ def border(
     loaded = perf_counter()
     borders = [construct_dbb(cloud, config.d_b, config.eps) for cloud in data.clouds.values()]
     selected = perf_counter()
-    if out is not None:
-        for each in borders:
+    body, about = MobileBody(model), {}
+    for each in borders:
+        if out is not None:
             _write_csv(out / f"{each.pair}.csv", "x_m,y_m,z_m", each.points, "%.4f")
+        heights = each.heights.tolist()
+        deviations = abs(body.distance(each.points) - each.d_b).tolist()
+        about[each.pair] = {
+            "points": len(each),
+            "cloud_points": len(data.clouds[each.pair]),
+            "points_beside_base": int((each.heights <= body.upper[2]).sum()),
+            "max_deviation_m": max(deviations, default=None),
+            "lowest_m": min(heights, default=None),
+            "highest_m": max(heights, default=None),
+        }
     result: dict[str, Any] = {
         "robot": robot,
         "seed": seed,
@@ -96,30 +102,13 @@ def border(
         "origin": data.origin,
         "load_s": loaded - begin,
         "select_ms": 1e3 * (selected - loaded),
-        "borders": {each.pair: _of_border(model, data, each) for each in borders},
+        "borders": about,
     }
     print_result(result, json=json)
 
 
-def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str, object]:
-    import numpy as np
-
-    from app.border.mobile import MobileBody
-
-    body, heights = MobileBody(model), border.heights.tolist()
-    deviation = np.abs(body.distance(border.points) - border.d_b)
-    return {
-        "points": len(border),
-        "cloud_points": len(data.clouds[border.pair]),
-        "points_beside_base": int(np.count_nonzero(border.heights <= body.upper[2])),
-        "max_deviation_m": max(deviation.tolist(), default=None),
-        "lowest_m": min(heights, default=None),
-        "highest_m": max(heights, default=None),
-    }
-
-
 def reach(
-    robot: str = "husky_panda",
+    robot: options.Robot = "husky_panda",
     body: str = "all",
     seed: int = 0,
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
@@ -142,7 +131,6 @@ def reach(
     and on the lower bound 5; the paper does not state these.
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         body: A body that at least three joints move, such as lEE or l3; `all` selects all of them.
         seed: Seed of the random joint positions; a different seed gives a different map.
         out: Folder for two CSV files of each body: its map; and the mean and the fit in each shell.
@@ -158,48 +146,46 @@ def reach(
     bodies: dict[str, Any] = {}
     for name in names if body == "all" else [body]:
         say(f"computing the reachability of {name}")
-        fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
-        reach_map = maps.sample_reach_map(model, name, **fine, seed=seed)
-        fit = maps.fit_reachability(reach_map)
-        bodies[name] = _of_reach(model, reach_map, fit)
-        if out is not None:
-            _write_reach(out, reach_map, fit)
+        bodies[name] = _reach_of(name, model, seed, out)
     result = {"robot": robot, "seed": seed, "elapsed_s": perf_counter() - begin, "bodies": bodies}
     print_result(result, json=json)
 
 
-def _of_reach(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str, Any]:
+def _reach_of(name: str, model: RobotModel, seed: int, out: Path | None) -> dict[str, Any]:
+    """The results for a body; writes the body's two files into the folder `out`, if any."""
+    import numpy as np
+
+    from app.border import reach as maps
+    from app.border.score import radial_profile
+
+    fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
+    found = maps.sample_reach_map(model, name, **fine, seed=seed)
+    fit = maps.fit_reachability(found)
+    if out is not None:
+        shells = radial_profile(found.rho, found.reach)
+        fitted = fit.at(shells.rho_m)
+        columns = shells.rho_m, shells.mean, shells.spread, fitted, shells.count
+        head, file = "rho_m,mean,spread,fit,positions", out / f"reach-{name}-radial.csv"
+        _write_csv(file, head, np.column_stack(columns), "%.6g")
+        rows = np.column_stack([found.points, found.rho, found.reach, found.found])
+        _write_csv(out / f"reach-{name}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", rows, "%.6g")
     description = model.description
-    used = description.reachability.get(reach_map.body)
-    carries = description.arm.end_effector_link in description.body(reach_map.body).covers
-    fitted = fit._asdict()
+    used = description.reachability.get(name)
+    carries = description.arm.end_effector_link in description.body(name).covers
+    numbers = fit._asdict()
     return {
-        "positions_fitted": fitted.pop("points"),
-        **fitted,
+        "positions_fitted": numbers.pop("points"),
+        **numbers,
         "paper": _PAPERS_FIT if carries else None,
         "description": used.model_dump(include=set(_PAPERS_FIT)) if used else None,
-        "positions": len(reach_map.found),
-        "samples": reach_map.samples,
-        "solutions": float(reach_map.found.mean()),
-        "free_joints": list(reach_map.free_joints),
+        "positions": len(found.found),
+        "samples": found.samples,
+        "solutions": float(found.found.mean()),
+        "free_joints": list(found.free_joints),
     }
 
 
-def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
-    import numpy as np
-
-    from app.border.score import radial_profile
-
-    profile = radial_profile(reach_map.rho, reach_map.reach)
-    fitted = fit.at(profile.rho_m)
-    shells = np.column_stack([profile.rho_m, profile.mean, profile.spread, fitted, profile.count])
-    positions = np.column_stack([reach_map.points, reach_map.rho, reach_map.reach, reach_map.found])
-    name = f"reach-{reach_map.body}"
-    _write_csv(out / f"{name}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", positions, "%.6g")
-    _write_csv(out / f"{name}-radial.csv", "rho_m,mean,spread,fit,positions", shells, "%.6g")
-
-
-def _write_csv(path: Path, header: str, rows: np.ndarray, form: str) -> None:
+def _write_csv(path: Path, header: str, rows: Array, form: str) -> None:
     """Write rows as a CSV file, without those that have a NaN."""
     import numpy as np
 
@@ -243,7 +229,7 @@ def config(
 
 
 def bench(
-    robot: str = "husky_panda",
+    robot: options.Robot = "husky_panda",
     no_border: options.Flag = False,
     seed: int = 0,
     json: options.Json = False,
@@ -255,7 +241,6 @@ def bench(
     within one run.
 
     Args:
-        robot: Name of the robot; `dbb robots` lists all names.
         no_border: Do not measure the sampling of a new border, which takes minutes.
         seed: Seed of all random numbers: for the simulated paths, for the synthetic borders, and
             for the QP that a library solves for comparison with the control step.

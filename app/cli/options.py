@@ -4,6 +4,7 @@ A field of a record becomes an option, and the field's docstring becomes its hel
 """
 
 import logging
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
@@ -20,12 +21,13 @@ from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
 from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range, field_docs
-from app.system import home_expanded, is_no_file, own_path, unfinished_folder, usable_cores
+from app.system import is_no_file, own_path, unfinished_folder, usable_cores
 
 _log = logging.getLogger(__name__)
 Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")  # for an option whose default is not displayed
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, NO_DEFAULT]  # an option without a value
+Robot = Annotated[str, tyro.conf.arg(help="Name of the robot; `dbb robots` lists all names.")]
 Json = Annotated[Flag, tyro.conf.arg(help="Print only one JSON object.")]
 ConfigOption = Annotated[
     Path | None,
@@ -56,9 +58,7 @@ DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Names of options that set a parameter, each with the parameter's path."""
 
-_MAX_PROCESSES = 64
-_USUAL_PROCESSES = 2  # each further process needs 0.5 GB
-_METAVARS = {
+_METAVARS = {  # placeholders of values in the help, by the name of the field
     "allow_host": "NAME",
     "base": "X Y YAW",
     "hinge_position": "X Y",
@@ -75,29 +75,8 @@ _METAVARS = {
 }
 
 
-REGISTRY = tyro.constructors.ConstructorRegistry()  # further rules for options by their types
-
-
-@REGISTRY.primitive_rule
-def _path_rule(
-    about: tyro.constructors.PrimitiveTypeInfo,
-) -> tyro.constructors.PrimitiveConstructorSpec[Path] | None:
-    """The rule for an option of type Path: the home folder replaces `~`; None for other types."""
-    if about.type is not Path:
-        return None
-    return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="PATH",
-        instance_from_str=lambda words: home_expanded(words[0]),  # a shell leaves `--out=~/a`
-        is_instance=lambda value: isinstance(value, Path),
-        str_from_instance=lambda path: [str(path)],
-    )
-
-
-class Field(NamedTuple):
-    """The description of an option: type, default and help text."""
-
-    kind: Any
+class Field(NamedTuple):  # the description of an option
+    kind: Any  # its type
     default: Any  # `MISSING` for a required option
     help: str
 
@@ -113,36 +92,27 @@ def from_record(
     """The second argument of `Annotated[Given, …]`: a command's options, one for each field.
 
     The command gets a dictionary with the values of only the options that the user set. `record`
-    is a dataclass or pydantic record, or a dataclass instance with the defaults. `only` has the
-    names of the included fields (None: all fields), `leave` those of the excluded fields. `names`
-    maps a field to its option if their names differ. The field `positional` becomes a positional
-    argument.
+    is a dataclass or pydantic record, a dataclass instance with the defaults, or a dictionary of
+    `Field`s. `only` has the names of the included fields (None: all fields), `leave` those of the
+    excluded fields. `names` maps a field to its option if their names differ. The field
+    `positional` becomes a positional argument.
     """
-    found = {name: about for name, about in fields_of(record) if name not in leave}
-    chosen = found if only is None else {name: found[name] for name in found if name in only}
-    return _from_fields(chosen, names or {}, positional)
-
-
-def _from_fields(found: Mapping[str, Field], names: Mapping[str, str], positional: str = "") -> Any:
     kinds: dict[str, Any] = {}
-    for name, about in found.items():
+    for name, about in record.items() if isinstance(record, dict) else fields_of(record):
+        if name in leave or (only is not None and name not in only):
+            continue
         needed, metavar = about.default is MISSING, name.upper() if positional == name else None
         hint = "(required)" if needed else f"(default: {_text(about.default)})"
+        hint = "" if about.default in (None, (), "") else hint
         if get_origin(about.kind) is tuple:
             usual = {2: "LOW HIGH", 3: "X Y Z"}.get(len(get_args(about.kind)))
             metavar = _METAVARS.get(name, usual)
-        marks = tyro.conf.arg(
-            name=names.get(name, name),
-            metavar=metavar,
-            help=about.help,
-            help_behavior_hint="" if about.default in (None, (), "") else hint,
-        )
-        kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
-        if positional == name:
-            kind = tyro.conf.Positional[kind]
+        look: Any = {"metavar": metavar, "help": about.help, "help_behavior_hint": hint}
+        kind: Any = Annotated[about.kind, tyro.conf.arg(name=(names or {}).get(name, name), **look)]
+        kind = tyro.conf.Positional[kind] if positional == name else kind
         kinds[name] = Required[kind] if needed else kind
-    record = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
-    return tyro.conf.arg(name="", constructor=record)
+    options = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
+    return tyro.conf.arg(name="", constructor=options)
 
 
 def _text(default: Any) -> str:
@@ -203,13 +173,10 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
     found = {}
     for name, path in paths.items():
         about = tunable(path)
-        if about.choices:
-            kind, usual = str, about.default
-            text = f"[{about.allowed}] {about.help}"
-        else:
-            kind, usual, text = float, f"{about.default:g}", f"[{about.unit}] {about.help}"
-        found[name] = Field(kind, f"{usual}, unless robot.toml sets another value", text)
-    return _from_fields(found, {})
+        kind, unit = (str, about.allowed) if about.choices else (float, about.unit)
+        usual = f"{_text(about.default)}, unless robot.toml sets another value"
+        found[name] = Field(kind, usual, f"[{unit}] {about.help}")
+    return from_record(found)
 
 
 SetupOptions = Annotated[Given, from_record(Setup)]
@@ -224,15 +191,11 @@ def configured(
     `paths` has the path of the parameter that each option sets, such as `border.d_b`. A second
     robot of the same name (`hidden_robot`) causes a warning in the log.
     """
-
-    def override(usual: Config) -> Config:
-        return changed(read(file, usual).config, given or {}, paths)
-
-    override(Config())  # finds an error before the import
+    changed(read(file).config, given or {}, paths)  # finds an error before the import
     from app.robot.assets import hidden_robot
     from app.robot.description import load_robot
 
-    tuned = override(load_robot(robot).config)
+    tuned = changed(read(file, load_robot(robot).config).config, given or {}, paths)
     if hidden := hidden_robot(robot):
         _log.warning("%s", hidden)
     return tuned
@@ -269,14 +232,15 @@ def check_seed(seed: int) -> None:
 def check_processes(processes: int | None) -> int:
     """The requested number of processes, or the default: two, or one on a single core."""
     if processes is not None:
-        check_range("--processes", processes, 1, _MAX_PROCESSES)
-    return processes or min(_USUAL_PROCESSES, usable_cores())
+        check_range("--processes", processes, 1, 64)
+    return processes or min(2, usable_cores())  # each further process needs 0.5 GB
 
 
 def in_order(words: Iterable[str]) -> list[str]:
     """The words of a command line with the present names of options, and one merged `--allow-host`.
 
-    If another option appears several times, this raises a ConfigError: only the last would count.
+    The home folder replaces `~` at the start of a value, because a shell leaves `--out=~/a`. If
+    another option appears several times, this raises a ConfigError: only the last would count.
     """
     before: list[str] = []
     groups: dict[str, list[list[str]]] = {}  # each option with its values
@@ -285,10 +249,10 @@ def in_order(words: Iterable[str]) -> list[str]:
         name, sign, value = word.partition("=")
         if name.startswith("--"):
             name = FORMERLY.get(name, name)
-            group = [name + sign + value]
+            group = [name + sign + os.path.expanduser(value)]
             groups.setdefault(name, []).append(group)
         else:
-            group.append(word)
+            group.append(os.path.expanduser(word))
     for name, each in groups.items():
         once = [name, *(v for head, *rest in each for v in (*head.split("=", 1)[1:], *rest))]
         if name == "--allow-host":

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Generator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -21,14 +19,8 @@ from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.case import RunSpec
 from app.strict import check_range
-from app.system import write_whole
+from app.system import whole_file, write_whole
 
-if TYPE_CHECKING:
-    from PIL import Image
-
-    from app.simulation.trace.snapshot import Snapshot
-
-_MAX_PICTURES = 12
 Place = Annotated[
     tuple[float, float, float] | None, options.NO_DEFAULT, tyro.conf.arg(metavar="X Y Z")
 ]
@@ -55,7 +47,7 @@ def screenshot(
     """
     common.is_case(scenario)
     look = Look(**picture)
-    check_range("--at", len(at), 1, _MAX_PICTURES, "times")
+    check_range("--at", len(at), 1, 12, "times")
     options.check_file("--out", out, (".png",))
     asked = common.spec_named(scenario, setup, config)
     for t in at:
@@ -68,9 +60,8 @@ def screenshot(
         snapshots = common.filmed(asked, model, data, at)
         pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
     whole = pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=look.dark)
-    drawn = io.BytesIO()
-    whole.save(drawn, "PNG", optimize=True)
-    write_whole(out, drawn.getvalue())
+    with whole_file(out) as beside:
+        whole.save(beside, "PNG", optimize=True)
     result = {
         "picture": str(out),
         "scenario": asked.scenario.name,
@@ -168,19 +159,14 @@ def _film(
         model, data = common.load_robot_and_border(asked.robot)
         runs = [asked, *(asked._replace(controller=name) for name in beside)]
         found = [common.filmed(run, model, data, times) for run in runs]
-        orbit = math.radians(how.orbit) / how.rate
-
-        scene = times, model, data.clouds, look
-
-        def drawn(shown: list[Snapshot], *framed: Snapshot) -> Generator[Image.Image, None, None]:
-            return film_pictures(browser, shown, *scene, orbit=orbit, framed=framed)
-
+        scene = times, model, data.clouds, look, math.radians(how.orbit) / how.rate
         if how.side_by_side:
-            everything = [*chain.from_iterable(found)]
-            films = [drawn(each, *everything) for each in (*found[1:], found[0])]
+            framed, robots = [*chain.from_iterable(found)], (*found[1:], found[0])
+            films = [film_pictures(browser, each, *scene, framed) for each in robots]
             pictures = (side_by_side(each) for each in zip(*films, strict=True))
         else:
-            films = [pictures := drawn(with_ghosts(found[0], found[1:]))]
+            shown = with_ghosts(found[0], found[1:])
+            films = [pictures := film_pictures(browser, shown, *scene)]
         with progress_bar(out.name, len(times)) as on_progress, ExitStack() as stack:
             for each in films:
                 stack.enter_context(closing(each))

@@ -60,7 +60,7 @@ def robots(json: Json = False) -> None:
 
 
 def check_robot(
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
+    name: Annotated[options.Robot, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
     parameters: Annotated[Given, options.parameter_options(_OF_CHECK)],
     *,
     runs: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: yes)")] = True,
@@ -74,7 +74,6 @@ def check_robot(
     status is 0 if no check fails, otherwise 1.
 
     Args:
-        name: Name of the robot; `dbb robots` lists all names.
         runs: Also simulate persons who pull the end-effector towards the base; this takes most of
             the time.
         quick: Sample a coarse border in seconds, as `dbb new-robot --quick` does, instead of the

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import tyro
 
@@ -15,10 +15,6 @@ from app.simulation.case import RunSpec
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.studies.runs import write_json
-
-if TYPE_CHECKING:
-    from app.robot.model import RobotModel
-    from app.simulation.run import RunResult
 
 _OF_A_CASE = {name: options.PARAMETERS[name] for name in ("buffer_distance", "border")}
 _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
@@ -61,7 +57,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     first = words[:1] if words and not words[0].startswith("-") else []
     named = first or [word for word in words if word in SCENARIOS][:1]
     if not named:
-        return "", run, words
+        return "", command_of(None), words
     check_name("scenario", named[0], SCENARIOS)
     scenario, rest = SCENARIOS[named[0]], list(words)
     rest.remove(scenario.name)
@@ -77,16 +73,9 @@ def _field(word: str) -> str:
     return option[2:].replace("-", "_") if option.startswith("--") else ""
 
 
-def run(
-    setup: options.SetupOptions,
-    parameters: options.ParameterOptions,
-    files: FilesOptions,
-    config: options.ConfigOption = None,
-    fail_on_contact: ContactOption = False,
-    json: options.Json = False,
-) -> None:
+def run() -> NoReturn:
     """Run a scenario, or repeat a case, and print the results."""
-    del setup, parameters, files, config, fail_on_contact, json
+    # The docstring is for the help; this function runs only if the user names no scenario.
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
 
@@ -98,14 +87,14 @@ _LIST = "\n".join(
         f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)",
     ]
 )
-run.__doc__ = f"{run.__doc__}\n\n{_LIST}"
 
 
-def command_of(scenario: Scenario) -> Callable[..., None]:
-    """The command that runs a scenario, with the options of this scenario."""
+def command_of(scenario: Scenario | None) -> Callable[..., None]:
+    """The command that runs a scenario, with its options; without a scenario, it calls `run`."""
+    own = from_record(scenario or Files, only=scenario.options if scenario else ())
 
     def command(
-        scenario_options: Annotated[Given, from_record(scenario, only=scenario.options)],
+        scenario_options: Annotated[Given, own],
         setup: options.SetupOptions,
         parameters: options.ParameterOptions,
         files: FilesOptions,
@@ -113,10 +102,13 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         fail_on_contact: ContactOption = False,
         json: options.Json = False,
     ) -> None:
+        if scenario is None:
+            run()
         spec = common.spec_of_scenario(scenario.name, setup, config, parameters, **scenario_options)
         _run(spec, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
-    command.__doc__ = f"Run {scenario.name}: {scenario.about}."
+    about = f"Run {scenario.name}: {scenario.about}." if scenario else f"{run.__doc__}\n\n{_LIST}"
+    command.__doc__ = about
     return command
 
 
@@ -142,30 +134,13 @@ def run_case(
 
 def _run(asked: RunSpec, files: Files, *, json: bool, fail_on_contact: bool) -> None:
     from app.control.buffer_watch import buffer_warning
+    from app.simulation.trace.log_file import write_trace
     from app.simulation.trace.metrics import touches, verdict
     from app.simulation.trace.words import missing, number_text
 
     model, data = common.load_robot_and_border(asked.robot)
     drawn = files.out is not None or files.log is not None
     result = common.result_of(asked, model, data, drawn=drawn)
-    written = _write(result, files, model)
-    if warning := buffer_warning(result.trace.buffer, asked.config):
-        print(f"warning: {warning}", file=sys.stderr)
-    if json:
-        common.print_json(result.figures)
-    else:
-        print(verdict(result.figures, model.body_names))
-        for key, value in result.figures.items():
-            print(f"  {key:34} {number_text(value, missing(key))}")
-    for path in written:
-        print(printable(f"wrote {path}"), file=sys.stderr if json else None)
-    if fail_on_contact and touches(result.figures):
-        sys.exit(1)
-
-
-def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]:
-    from app.simulation.trace.log_file import write_trace
-
     written = []
     if files.out is not None:
         written += [files.out / "log.csv", files.out / "metrics.json"]
@@ -179,4 +154,15 @@ def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]
             write_mcap(files.log, result.trace, model, ros=files.ros)
         else:
             write_trace(files.log, result.trace)
-    return written
+    if warning := buffer_warning(result.trace.buffer, asked.config):
+        print(f"warning: {warning}", file=sys.stderr)
+    if json:
+        common.print_json(result.figures)
+    else:
+        print(verdict(result.figures, model.body_names))
+        for key, value in result.figures.items():
+            print(f"  {key:34} {number_text(value, missing(key))}")
+    for path in written:
+        print(printable(f"wrote {path}"), file=sys.stderr if json else None)
+    if fail_on_contact and touches(result.figures):
+        sys.exit(1)

@@ -6,23 +6,22 @@ import ipaddress
 import socket
 import sys
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from app.cli import options
 from app.cli.common import load_model, say, spec_of_case
 from app.config import Config
 from app.config_file import checked_host
+from app.simulation.case import RunSpec
 from app.simulation.scenarios import free_start
 from app.simulation.scenarios.leading import Scenario, check_point
 from app.simulation.scenarios.line import Point
 from app.system import return_freed_memory_early
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from app.border.cache import BorderData
     from app.dashboard.server import DashboardServer
     from app.jobs.process import Child
@@ -68,13 +67,13 @@ def serve(
     return_freed_memory_early()
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.read(config).hosts))
+    chosen: options.Setup | RunSpec
     if asked.case is None:
         chosen, played = options.Setup(**setup), None
         tuned = options.configured(chosen.robot, config, parameters)
     else:
         others = {"start": asked.start, "config": config, **parameters}
-        run = spec_of_case(asked.case, setup, **others)
-        chosen = options.Setup(**{f.name: getattr(run, f.name) for f in fields(options.Setup)})
+        chosen = run = spec_of_case(asked.case, setup, **others)
         tuned, played = options.changed(run.config, parameters), run.scenario
     from app.robot.assets import check_robot_name
 
@@ -89,10 +88,10 @@ def serve(
 class _First(NamedTuple):
     """The first robot of the dashboard, and the process for its simulation."""
 
-    setup: options.Setup
+    setup: options.Setup | RunSpec  # robot, controller, plant and seed
     config: Config
-    asked: Serving
-    played: Scenario | None
+    asked: Serving  # options of the server, and the start
+    played: Scenario | None  # the scenario of the case, if any
     child: Child
 
     def begin_loop(
@@ -101,18 +100,21 @@ class _First(NamedTuple):
         data: BorderData,
         config: Config,
         controller: str,
-        q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation at `q_start` (n_m,) or `free_start`, in `waiting` or a new process."""
+        """Begin a simulation: of the first robot in the process `waiting`, or of another robot in a
+        new process. Only the first robot starts as the user asked; another one at `free_start`.
+        """
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
         seed, given = self.setup.seed, (model, data, config)
-        if q_start is None:
-            q_start = free_start(*given, None, seed)
-        plant = {"controller": controller, "physics": self.setup.physics}
-        made = ProcessLoop(partial(Session, *given, **plant, seed=seed), q_start, waiting)
+        if waiting and self.played:
+            q_start = self.played.setting(*given, seed).q_m
+        else:
+            q_start = free_start(*given, self.asked.start if waiting else None, seed)
+        how: Any = {"controller": controller, "physics": self.setup.physics, "seed": seed}
+        made = ProcessLoop(partial(Session, *given, **how), q_start, waiting)
         made.begin()
         return made
 
@@ -143,26 +145,13 @@ def _opened(first: _First) -> DashboardServer:
     check_address(asked.host, asked.port)
     model = load_model(setup.robot)
     data = _border(model)
-    given = model, data, first.config
-    if first.played is None:
-        q_start = free_start(*given, asked.start, setup.seed)
-    else:
-        q_start = first.played.setting(*given, setup.seed).q_m
-    simulation = first.begin_loop(*given, setup.controller, q_start, first.child)
+    simulation = first.begin_loop(model, data, first.config, setup.controller, first.child)
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
-        return serve_dashboard(
-            simulation,
-            model,
-            data.clouds,
-            host=asked.host,
-            port=asked.port,
-            allowed=asked.allow_host,
-            case=first.played,
-            parts=parts,
-            start_loop=first.begin_loop,
-        )
+        how: Any = {"host": asked.host, "port": asked.port, "allowed": asked.allow_host}
+        how |= {"case": first.played, "parts": parts, "start_loop": first.begin_loop}
+        return serve_dashboard(simulation, model, data.clouds, **how)
     except BaseException:
         simulation.stop()
         raise

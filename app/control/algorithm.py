@@ -12,27 +12,15 @@ with its activation β (`insert_rows`). The base's rows are blended with the oth
 (`blend_base`); only in `set_up_room` they are springs too. A row with β = 0 has no effect, so the
 branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
-**The base** (`command_base`). The base's command is computed before the arm's torques, because the
-base follows its commands late. Its QPs have slow gains (`slow`), because its commands are rare:
-
-1. `set_up_free_base`: a_free is the base's acceleration by all tasks except its rows of T_sca.
-   While a person guides the arm, only the method `barrier` solves this QP; with the other methods
-   the base brakes, a_free = −k ν with k = `base_damping`.
-2. `blend_base`: a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
-3. `undragged`: if β_m > 0, a_des is changed so that the base drags the end-effector along less.
-4. `set_up_room`: only while tracking, this acceleration is changed as little as necessary for the
-   arm to fulfil T_2 within its limits.
-5. The result is clipped to ±a_max, because `set_up_room` has no limit of the base.
-
-The admittance law (§4.1, `update_command`) converts the result to the velocity command. If the axes
+The base's command (`command_base`) is computed before the arm's torques, because the base follows
+its commands late. Its QPs have slow gains (`slow`), because its commands are rare. The admittance
+law (§4.1, `update_command`) converts the base's acceleration to the velocity command. If the axes
 of a base depend on each other, `Controller` then replaces this command by an admissible one.
 
-**The arm** (`accelerate_arm`). Its q̈ minimises the errors of the tasks; the rows of T_sca are
-springs that compete with them, (29). The arm's limits apply, and the base has its present
-acceleration (`assume_base`). The torques follow from q̈, (26).
-
-The compared method `hqp` solves neither of these problems: its q̈ is the solution of the paper's
-hierarchy (`app.control.hqp`), which `Controller` computes. This method uses the sampled border.
+The arm's q̈ (`accelerate_arm`) minimises the errors of the tasks; the rows of T_sca are springs that
+compete with them, (29). The arm's limits apply, and the base has its present acceleration
+(`assume_base`). The torques follow from q̈, (26). The compared method `hqp` solves neither of these
+problems: its q̈ is the solution of the paper's hierarchy, which `Controller` computes.
 """
 
 import math
@@ -54,19 +42,15 @@ from app.compiled import compiled
 from app.control.inputs import GAINS, ROBOT
 from app.control.limits import (
     barrier_bound,
-    distance_rows,
-    fastest_rate,
     joint_bounds,
     joint_rows,
-    speed_error,
-    speed_margin,
     torque_range,
     torque_reachable_bounds,
     torque_rows,
 )
-from app.control.qp import cholesky, clip, fill, put, put_rows, solve_qp, solve_qp_step, times
+from app.control.qp import cholesky, clip, dot, fill, put, put_rows, solve_qp, solve_qp_step, times
 from app.control.quantities import STEP
-from app.control.readings import JUMP, LOCALISATION, take_readings
+from app.control.readings import JUMP, LOCALISATION, READING, take_readings
 from app.control.references import shift_reference
 from app.control.tasks import (
     activation,
@@ -85,11 +69,10 @@ from app.control.tasks import (
     pose_error,
     posture_objective,
     reaction_torque,
-    stable_damping,
     uncompensated_base_jacobian,
 )
+from app.robot.model import STABLE_STEPS
 from app.robot.state import (
-    chain_motion,
     coordinates,
     distance_motions,
     point_bias,
@@ -101,6 +84,9 @@ from app.robot.state import (
 )
 from app.strict import Array
 
+_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent velocity errors
+_MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a larger one would let
+# the constraints throw the arm away from an obstacle that it hardly approaches
 BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one:
 # a jump would abruptly accelerate an arm inside the buffer
 
@@ -110,8 +96,6 @@ DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
 FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
 """Rows of `qp_tried` and `qp_x`: QPs of `set_up_free_base`, `set_up_room` and `set_up_arm`, and the
 hierarchy of `app.control.hqp`."""
-
-_READING = types.Array(types.f8, 1, "A")
 
 
 @compiled()
@@ -123,20 +107,13 @@ def forget_reference(w: Any) -> None:
 
 @compiled(
     Signature(
-        types.b1, (ROBOT.type, GAINS.type, STEP.type, *[_READING] * 5, types.f8, types.f8), None
+        types.b1,
+        (ROBOT.type, GAINS.type, STEP.type, types.UniTuple(READING, 5), types.f8, types.f8),
+        None,
     )
 )
 def update_estimate(
-    robot: Any,
-    gains: Any,
-    w: Any,
-    base_pose: Array,
-    base_velocity: Array,
-    q_m: Array,
-    qd_m: Array,
-    drive: Array,
-    now: float,
-    time: float,
+    robot: Any, gains: Any, w: Any, readings: tuple[Array, ...], now: float, time: float
 ) -> bool:
     """Estimate the robot's state from the readings, and convert it to pinocchio's coordinates.
 
@@ -144,7 +121,7 @@ def update_estimate(
     `BUFFER_RATE`. Without valid readings, or with the fault `jump` or `localisation`, all
     references are forgotten. With valid readings, `shift_reference` then shifts the reference that
     `take_reference` has written. Returns whether the readings have a fault; invalid readings have
-    one. The arguments from `base_pose` on are those of `take_readings`.
+    one. The arguments from `readings` on are those of `take_readings`.
 
     Paper: Algorithm 2, the part of line 2 that precedes pinocchio's computation.
     """
@@ -153,7 +130,7 @@ def update_estimate(
         w.d_b[()] = gains.d_b
     w.d_b[()] += min(max(gains.d_b - w.d_b[()], -way), way)
     fill(w.qp_tried, 0.0)
-    take_readings(robot, gains, w, base_pose, base_velocity, q_m, qd_m, drive, now, time)
+    take_readings(robot, gains, w, readings, now, time)
     if w.valid[()] == 0.0 or w.faults[JUMP] != 0.0 or w.faults[LOCALISATION] != 0.0:
         forget_reference(w)
     if w.valid[()] == 0.0:
@@ -175,23 +152,17 @@ def algorithm_2(
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
     `put_commands` writes the fallback command. If Python has to solve a QP (by ProxQP) or the
-    hierarchy (by `app.control.hqp`), the step ends there, and the caller then repeats the whole
-    step. The repetition computes the same values again, and uses Python's solution.
+    hierarchy (by `app.control.hqp`), the step ends there; the caller then repeats the whole step,
+    which computes the same values again, and uses Python's solution.
 
     Paper: Algorithm 2.
 
-    Args:
-        robot: `ROBOT`.
-        gains: `GAINS`.
-        slow: `GAINS` of the slower configuration `app.config.slowed`, for the base's QPs.
-        border: `BORDER`.
-        w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
-        base_source: `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) or `BASE_AS_COMMANDED`.
-        tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
-
-    Returns:
-        `w.qp_open`: the number of the problem that Python has to solve before the step is repeated;
-        0 if the step is complete.
+    `robot`, `gains`, `border` and `w` are the structs `ROBOT`, `GAINS`, `BORDER` and `STEP`; `slow`
+    are the gains of the slower configuration `app.config.slowed`, for the base's QPs. `w` already
+    contains the results of `update_estimate`, and of pinocchio. `base_source` is `DRIVE_MODEL`,
+    `BASE_MEASURED` (in `w.a_base_meas`) or `BASE_AS_COMMANDED`. `tracking` states whether there is
+    a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`). Returns `w.qp_open`: the number of the problem
+    that Python has to solve, or 0 after a complete step.
     """
     # fmt: off
     update_kinematics(robot, gains, w)               # line 2, closest points of lines 4 and 9
@@ -238,13 +209,13 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
             n, score = times(w.R_base.T, w.normal[i]), robot.score_coefficients[i]
             step = gains.alpha_gain, gains.alpha_min, gains.alpha_max
             found = find_acting_point(border, i, score, p_b, w.d[i], step)  # line 5, Algorithm 3
-            p_n, p_t, p_act, t, w.alpha[i] = found
-            put(w.p_n[i], p_n)
-            put(w.p_t[i], p_t)
-            put(w.p_act[i], p_act)
-            put(w.tangent[i], t)
-            if not math.isnan(p_act[0]):  # (14)
-                put(w.f[i], avoidance_force(p_b, p_act, w.d[i], n, gains.f_max, w.d_b[()]))
+            put(w.p_n[i], found.p_n)
+            put(w.p_t[i], found.p_t)
+            put(w.p_act[i], found.p_act)
+            put(w.tangent[i], found.t)
+            w.alpha[i] = found.alpha
+            if not math.isnan(found.alpha):  # (14)
+                put(w.f[i], avoidance_force(p_b, found.p_act, w.d[i], n, gains.f_max, w.d_b[()]))
     put(w.xdd_m, generate_mob_acc(robot.A_b, resultant_force(w.f, w.p_act)))  # line 6, (16)
     w.beta_m[()] = mobile_activation(w.beta[: robot.n_mob])  # (28)
 
@@ -253,7 +224,11 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
 def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """Write the base's accelerations: a_free, the blend a_des of (29), and the commanded one.
 
-    The function ends early if Python has to solve a QP. If a QP has no solution, the base brakes.
+    While a person guides the arm, only the method `barrier` solves the QP of a_free; with the other
+    methods the base brakes. If β_m > 0, `undragged` then changes a_des. While tracking, the QP of
+    `set_up_room` changes the result as little as necessary for the arm to fulfil T_2 within its
+    limits. The result is clipped to ±a_max. The function ends early if Python has to solve a QP. If
+    a QP has no solution, the base brakes.
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -310,16 +285,15 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
     put(w.h, h)
     put(w.g, g)
     put_rows(w.L_aa, cholesky(w.M[robot.n_b :, robot.n_b :]))
-    twists, biases = chain_motion(w.J_pin, w.v_pin)
-    put_rows(w.twists, twists)
-    put_rows(w.biases, biases)
     put_rows(w.R_base, w.oMi[1, :3].T)
     put(w.p_o, w.oMi[1, 3])
     R_last = w.oMi[-1, :3].T
     for i in range(3):
         put(w.R_ee[i], times(robot.R_tip.T, R_last[i]))
     put(w.p_ee, times(R_last, robot.p_tip) + w.oMi[-1, 3])
-    J_ee, v_ee, Jdqd_ee = tip_motion(w.J_pin, robot.T_J_m, w.twists, w.biases, w.p_ee)
+    twists, biases, J_ee, v_ee, Jdqd_ee = tip_motion(w.J_pin, robot.T_J_m, w.v_pin, w.p_ee)
+    put_rows(w.twists, twists)
+    put_rows(w.biases, biases)
     put_rows(w.J_ee, J_ee)
     put(w.v_ee, v_ee)
     put(w.Jdqd_ee, Jdqd_ee)
@@ -400,7 +374,8 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     w.tracking[()] = tracking
     # Without readings the damping acts on a prediction, not on a feedback that is late.
     time = gains.dt if w.valid[()] == 0.0 else max(w.blind_time[()], gains.dt)
-    damping = stable_damping(gains.joint_damping, robot.ready_inertia, time)
+    stable = robot.ready_inertia / (STABLE_STEPS * time)  # [N m s/rad or N s/m]
+    damping = np.minimum(gains.joint_damping, stable)
     put(w.u_free, free_arm_torque(w.g, w.qd, damping))
     last = w.u_free if math.isnan(w.u_a[0]) else w.u_a
     u_min, u_max = torque_range(last, robot.tau_max, gains.torque_rate * gains.dt)
@@ -442,12 +417,12 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
 
     - ARM: if the method has barriers, the distances of all pairs stay above d_min. The limits of
       joints and distances include external accelerations; those of speeds and distances have a
-      margin for recent errors of velocities. While readings are rare or late, the limits of joints
-      and distances also apply with a slower rate. `torque_reachable_bounds` then changes the limits
-      of joints, so that each joint can satisfy them by its own torque.
+      margin for recent errors of velocities. While readings are rare or late (blind time T > dt),
+      the limits of joints and distances also apply with a rate of at most 1/(2 T): a faster
+      reaction to a wrong prediction would let the arm oscillate. `torque_reachable_bounds` then
+      changes the limits of joints, so that each joint can satisfy them by its own torque.
     - FREE_BASE: for the method `barrier`, the barriers of all pairs at d_min.
-    - ROOM: for the method `dbb`, the barriers of L_m at d_min, and those of the pairs within the
-      arm at w.d_b.
+    - ROOM: for the method `dbb`, the barriers of L_m at d_min, those within the arm at w.d_b.
     """
     for_arm, link_buffers = which == ARM, which == ROOM and gains.lookahead
     barrier = (for_arm and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
@@ -455,8 +430,8 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
     v_error, fastest = qdd_ext, math.inf
     if for_arm:
-        v_error = speed_margin(w.v_error, robot.qd_max)
-        fastest = fastest_rate(w.blind_time[()], gains.dt)
+        v_error = np.minimum(_MARGIN * w.v_error, _MOST_MARGIN * robot.qd_max)
+        fastest = 0.5 / w.blind_time[()] if w.blind_time[()] > gains.dt else math.inf
         qdd_ext, u_min, u_max = w.x_est[2], w.u_min, w.u_max
         qd_limits = qd_limits + np.stack((v_error, -v_error))
     bounds = joint_bounds(
@@ -468,16 +443,16 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     joints = slice(n_m, 2 * n_m)
     joint_rows(bounds, qdd_ext, robot.qd_max, w.C[joints], w.l[joints], w.u[joints])
     count = len(robot.convex) if barrier or link_buffers else 0
-    rows, least = robot.convex[:count], np.empty(count)
     rate, most = gains.barrier_rate, gains.max_separation_speed
     for k in range(count):
-        i = rows[k]
+        i, row = robot.convex[k], 2 * n_m + k
         h = w.d[i] - (w.d_b[()] if link_buffers and k >= robot.n_convex_mob else gains.d_min)
-        d_dot = w.d_dot[i] - speed_error(w.J[i, robot.n_b :], v_error)
+        J = w.J[i, robot.n_b :]
+        d_dot = w.d_dot[i] - math.sqrt(dot(J * J, v_error * v_error))  # independent errors
         slow = barrier_bound(w.Jdqd[i], d_dot, h, min(rate, fastest), most)
-        least[k] = max(barrier_bound(w.Jdqd[i], d_dot, h, rate, most), slow)
-    distances = slice(2 * n_m, 2 * n_m + count)
-    distance_rows(w.J, least, rows, qdd_ext, w.C[distances], w.l[distances], w.u[distances])
+        least = max(barrier_bound(w.Jdqd[i], d_dot, h, rate, most), slow)
+        put(w.C[row], w.J[i])
+        w.l[row], w.u[row] = least - dot(J, qdd_ext), math.inf
     fill(w.softness[:n_m], 0.0)
     fill(w.softness[n_m:], gains.slack_weight**2)
     return 2 * n_m + count
@@ -497,11 +472,11 @@ def assume_base(robot: Any, w: Any, base_source: int) -> None:
 
 @compiled()
 def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
-    """Set up the QP of a_free: base and arm together, without the base's rows of T_sca.
+    """Set up the QP of a_free, for base and arm; return the number of limits.
 
     The tasks are T_2 with slow gains, posture, and slow springs of the pairs within the arm. While
     a person guides the arm, a task that brings the base to rest replaces T_2. The limits are those
-    of `write_limits`, and |J_m q̈_b| ≤ a_max. Returns the number of limits.
+    of `write_limits`, and |J_m q̈_b| ≤ a_max.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
     if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
@@ -560,11 +535,10 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
 @compiled()
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
-    """Set up the QP of the arm, for the base's assumed acceleration.
+    """Set up the QP of the arm, for the base's assumed acceleration; return the number of limits.
 
     The tasks are all tasks below T_sca and, as springs, the rows of T_sca that are not the base's.
-    There is no slack variable: the slack of a task or a row is its demand minus the result
-    (`explanation.row_slacks`). Returns the number of limits.
+    There is no slack variable: the slack of a task or a row is its demand minus the result.
     """
     rows = slice(robot.n_b, len(w.B))
     put_qp(w, w.H, w.c, rows, w.b_sca[rows], gains.slack_weight, robot.n_b)
@@ -578,9 +552,8 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
 
     FREE_BASE solves for all entries of q̈. ARM fixes the base's entries to `w.qp_fixed`; ROOM starts
     from these values, and can change them (`solve_qp_step`). If the active-set method finds no
-    solution, `w.qp_open` marks the QP as open: `Controller` lets ProxQP solve it, and calls
-    `algorithm_2` again. In this second pass the result is ProxQP's solution. Returns the solution
-    (n,), and whether a solution has been found.
+    solution, the first pass of a step marks the QP as open (`w.qp_open`), and the second pass
+    returns ProxQP's solution. Returns the solution (n,), and whether a solution has been found.
     """
     C, l, u, softness = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
@@ -628,13 +601,9 @@ def next_command(
     would be a wrong input: it is not zero while the base is at rest, so the base would drift.
     `mass` and `damping` are the diagonals (n_b,) of M_a [kg or kg m²] and D_a [N s/m or N m s].
     """
-    found, gain = np.empty(len(command)), response(mass, damping, period)[0]
-    for i in range(len(command)):
-        F = mass[i] * acceleration[i]
-        change = gain[i] * (F - damping[i] * command[i]) / mass[i] * period
-        change = min(max(change, -a_max[i] * period), a_max[i] * period)
-        found[i] = min(max(command[i] + change, -v_max[i]), v_max[i])
-    return found
+    F, gain = mass * acceleration - damping * command, response(mass, damping, period)[0]
+    change = clip(gain * F / mass * period, -a_max * period, a_max * period)
+    return clip(command + change, -v_max, v_max)
 
 
 @compiled()
@@ -682,9 +651,8 @@ def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
 
-    With valid readings, the first pass of a step only marks the hierarchy as open (`w.qp_open`),
-    `app.control.hqp` solves it, and the second pass writes the commands by this solution. Without
-    valid readings or a solution, `put_commands` writes the fallback command.
+    With valid readings, the first pass of a step only marks the hierarchy as open; the second pass
+    writes the commands by the solution of `app.control.hqp`, or the fallback command without one.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

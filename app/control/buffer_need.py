@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.compiled import compiled, direct
-from app.config import AdmittanceConfig, Config
+from app.config import Config
 from app.control.qp import fill, put
 from app.control.tasks import cubic, rise_length
 from app.robot.bases.kind import BaseKind, Channel
@@ -130,15 +130,6 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
     return float(sizes[low])
 
 
-def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(k,) [m] lower bound of the distance between arm and base, for each d_b (k,) [m] > d_full.
-
-    The bound is −∞ if the base cannot reach the speed `approach.v` at any distance within d_b.
-    """
-    ways = list(_ways(approach, base, config))
-    return np.array([max(_bound(each, *way) for way in ways) for each in d_b])
-
-
 def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[Any, ...]]:
     """The arguments of `_bound` after d_b, for each of the base's motions away from the arm."""
     lead = config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
@@ -160,34 +151,21 @@ def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config
 
     `way` is a motion of the base away from the arm; t is the horizontal part of n, turned by 90°.
     """
-    admittance, n, p = config.admittance, approach.n, approach.p_b
+    law, n, p, rows = config.admittance, approach.n, approach.p_b, []
     lever = n[1] * p[0] - n[0] * p[1]
     lever = math.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)
-    rows = []
+    # Linear and angular inertia of the base; inertia and damping of the admittance law
+    inertia, virtual_inertia = (base.mass_kg, base.inertia_kgm2), (law.mass, law.inertia)
+    resistances = inertia, virtual_inertia, (law.damping, law.angular_damping)
     for channel in way:
+        x, y, turn = channel.twist
         J = float(np.dot(channel.twist, [n[0], n[1], lever]))
         J_t = float(np.dot(channel.twist, [-n[1], n[0], n[0] * p[0] + n[1] * p[1]]))
-        mass = _resisting(channel, base.mass_kg, base.inertia_kgm2)
-        virtual = _resisting(channel, admittance.mass, admittance.inertia)
-        damping = _resisting(channel, admittance.damping, admittance.angular_damping)
+        mass, virtual, damping = (
+            (x * x + y * y) * linear + turn * turn * angular for linear, angular in resistances
+        )
         T = min(virtual / max(damping, 1e-9), _LONGEST)
-        top = _top(channel, admittance)
+        commanded = (law.v_max, math.hypot(x, y)), (law.omega_max, abs(turn))
+        top = min(channel.v_max, *(most / part for most, part in commanded if part > 0.0))
         rows.append((J, J_t, mass, channel.a_max * abs(J), top * abs(J), T))
     return np.array(rows)
-
-
-def _resisting(channel: Channel, linear: float, angular: float) -> float:
-    """Inertia or damping of a channel, from the linear and the angular one."""
-    x, y, turn = channel.twist
-    return (x * x + y * y) * linear + turn * turn * angular
-
-
-def _top(channel: Channel, config: AdmittanceConfig) -> float:
-    """[m/s or rad/s] the largest speed of a channel that the law commands."""
-    x, y, turn = channel.twist
-    linear, angular = math.hypot(x, y), abs(turn)
-    return min(
-        channel.v_max,
-        config.v_max / linear if linear > 0.0 else math.inf,
-        config.omega_max / angular if angular > 0.0 else math.inf,
-    )

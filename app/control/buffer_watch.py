@@ -28,8 +28,7 @@ class BufferReading(NamedTuple):
     approach_speed: float
     """[m/s] speed of the approach in the last 3 s that requires the largest d_b; 0 without one."""
     needed: float
-    """[m] the d_b that this approach requires; infinite if no d_b up to 2 m suffices; 0 without an
-    approach."""
+    """[m] d_b that this approach requires; infinite if 2 m do not suffice; 0 without one."""
     approach_speed_max: float
     """[m/s] speed of the approach since the reset that requires the largest d_b."""
     needed_max: float
@@ -70,7 +69,10 @@ class BufferWatch:
         """
         if self._steps % _SAMPLE == 0:
             if self._steps == 0:
-                self._prepare(state, control)
+                joint_of, pairs = state.model.body_joints, control.pairs[: control.n_mob]
+                joints = [joint_of[body] for pair in pairs for body in pair]
+                self._joints = np.array(joints, dtype=int).reshape(-1, 2)
+                self._speeds = np.full((len(pairs), _EVERY // _SAMPLE, 2), np.nan)
             seen = control.d, control.p_b, control.normal
             _sample_once(state.twists, self._joints, *seen, _FARTHEST, self._speeds)
             if self._steps % _EVERY == 0:
@@ -90,16 +92,8 @@ class BufferWatch:
         self._steps += 1
         return self._reading
 
-    def _prepare(self, state: RobotState, control: ControlStep) -> None:
-        joint_of, pairs = state.model.body_joints, control.pairs[: control.n_mob]
-        joints = [joint_of[body] for pair in pairs for body in pair]
-        self._joints = np.array(joints, dtype=int).reshape(-1, 2)
-        self._speeds = np.full((len(pairs), _EVERY // _SAMPLE, 2), np.nan)
-
     def _look(self, state: RobotState, control: ControlStep) -> None:
-        """Compute the required d_b of each pair whose mean speed in the last 50 control steps is an
-        approach; the mean speed of a tremor is too low.
-        """
+        """Compute the required d_b of each pair whose mean speed in 50 steps is an approach."""
         for i, speeds in enumerate(self._speeds.tolist()):
             if not (known := [each for each in speeds if not math.isnan(each[0])]):
                 continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from numbers import Real
 
 import numpy as np
@@ -37,26 +38,34 @@ def check_gains(config: Config, dt: float) -> None:
     """Refuse gains that are too large for a control period of dt [s].
 
     Raises:
-        ConfigError: `config` is not a `Config`, or a gain is too large; the message then states the
-            upper bounds of the gain and of dt.
+        ConfigError: `config` is not a `Config`, or a gain is too large.
     """
     if not isinstance(config, Config):
         raise ConfigError(
             f"config must be a Config, was {type(config).__name__}; Config().changed(...) changes "
             "parameters, and app.config_file.read_config reads a file"
         )
-    for section in sections():
-        for each in section.tunables:
-            if each.unit not in ("1/s", "1/s²"):
-                continue
-            value, power = float(config.value(each.path)), 2 if each.unit == "1/s²" else 1
-            rate = value ** (1.0 / power)
-            if each.path != "estimate.velocity_noise" and rate * dt > _FASTEST:
-                raise ConfigError(
-                    f"{each.path} = {value:g} {each.unit} is too large for a control period of "
-                    f"{dt * 1000:g} ms: the gain must be at most {(_FASTEST / dt) ** power:.3g}, "
-                    f"or the period at most {_FASTEST / rate * 1000:.2g} ms"
-                )
+    if too_large := too_large_gain(config, dt):
+        raise ConfigError(too_large)
+
+
+def too_large_gain(config: Config, dt: float) -> str:
+    """The message about a gain that is too large for a control period of dt [s], or no text.
+
+    The message states the upper bounds of the gain and of dt.
+    """
+    for each in chain.from_iterable(section.tunables for section in sections()):
+        if each.unit not in ("1/s", "1/s²") or each.path == "estimate.velocity_noise":
+            continue
+        value, power = float(config.value(each.path)), 2 if each.unit == "1/s²" else 1
+        rate = value ** (1.0 / power)
+        if rate * dt > _FASTEST:
+            return (
+                f"{each.path} = {value:g} {each.unit} is too large for a control period of "
+                f"{dt * 1000:g} ms: the gain must be at most {(_FASTEST / dt) ** power:.3g}, "
+                f"or the period at most {_FASTEST / rate * 1000:.2g} ms"
+            )
+    return ""
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
@@ -141,8 +150,7 @@ def checked_reference(reference: Reference) -> Reference:
     """The reference with arrays of floats.
 
     Raises:
-        MeasurementError: The value is not a `Reference`, or a field has a wrong type or shape; the
-            message names the field.
+        MeasurementError: `reference` is not a `Reference`, or a field has a wrong type or shape.
     """
     if not isinstance(reference, Reference):
         raise MeasurementError(

@@ -16,17 +16,7 @@ from app.border.cache import BorderData, load_border_data
 from app.border.offset import border_of
 from app.compiled import direct
 from app.config import Config, slowed
-from app.control import CONTROLLERS, contract
-from app.control.algorithm import (
-    BASE_AS_COMMANDED,
-    BASE_MEASURED,
-    DRIVE_MODEL,
-    FREE_BASE,
-    HIERARCHY,
-    ROOM,
-    run_algorithm_2,
-    update_estimate,
-)
+from app.control import CONTROLLERS, algorithm, contract
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
 from app.control.qp import changed_by_proxqp, solved_by_proxqp
@@ -38,19 +28,13 @@ from app.errors import ConfigError, check_name
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
-from app.robot.state import (
-    Measurement,
-    RobotState,
-    checked,
-    compute_dynamics,
-    pinocchio_views,
-)
+from app.robot.state import Measurement, RobotState, checked, compute_dynamics, pinocchio_views
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
 
-_take = direct(take_reference)
-_estimate, _later, _law = direct(update_estimate), direct(later_base), direct(run_algorithm_2)
+_take, _later = direct(take_reference), direct(later_base)
+_estimate, _law = direct(algorithm.update_estimate), direct(algorithm.run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
 _UNKNOWN = "d_b", "u_a", "v_last", "q_posture", "reading", "x_sent", "clock", "stamp"  # first NaN
@@ -78,13 +62,13 @@ class Controller:
         If `interpolate`, references that jump are interpolated (`app.control.references`).
 
         Raises:
-            UnknownNameError: The controller does not exist.
-            ConfigError: The control period is invalid, or too long for a gain.
-            DescriptionError: The description has no reachability of a body of the arm that can meet
-                the base.
+            UnknownNameError, ConfigError, DescriptionError: As `ControlLoop`.
         """
-        self._model, self._data, self._config = model, data, config
-        self._dt, self._interpolate = contract.checked_period(dt), interpolate
+        self._model, self._data, self._interpolate = model, data, interpolate
+        self.config = config
+        """The parameters in use; `configure` changes them."""
+        self.dt = contract.checked_period(dt)
+        """[s] the control period: the stated one, or the measured one after the fault `period`."""
         self._base = model.description.base
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
@@ -114,7 +98,7 @@ class Controller:
         """
         check_name("controller", name, CONTROLLERS)
         self.name = name
-        self.configure(self._config)
+        self.configure(self.config)
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
@@ -127,10 +111,10 @@ class Controller:
         Raises:
             ConfigError: `config` is not a `Config`, or the control period is too long for a gain.
         """
-        contract.check_gains(config, self._dt)
+        contract.check_gains(config, self.dt)
         border, load, w = config.border, config.payload, self.last
-        added = load.mass - self._config.payload.mass
-        self._config = config
+        added = load.mass - self.config.payload.mass
+        self.config = config
         self.state.carry(load.mass, (load.x, load.y, load.z))
         if added != 0.0:
             w.torques += added * w.lifts
@@ -139,23 +123,14 @@ class Controller:
         if "hierarchy" in METHODS[self.name]:
             border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
-        self._border = border_of(self._model, clouds, border).struct
+        self._border = border_of(self._model, clouds, border)
         self._set_gains()
 
     def _set_gains(self) -> None:
-        config, model = self._config, self._model
-        self._gains = gains_struct(config, model, self.name, self._dt)
-        self._slow = gains_struct(slowed(config), model, self.name, self._dt)
-
-    @property
-    def config(self) -> Config:
-        """The parameters in use."""
-        return self._config
-
-    @property
-    def dt(self) -> float:
-        """[s] the control period: the stated one, or the measured one after the fault `period`."""
-        return self._dt
+        self._gains, self._slow = (
+            gains_struct(each, self._model, self.name, self.dt)
+            for each in (self.config, slowed(self.config))
+        )
 
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
@@ -170,7 +145,7 @@ class Controller:
     @property
     def d_b(self) -> float:
         """[m] the buffer distance in use, which approaches a new d_b slowly."""
-        return self._config.border.d_b if np.isnan(self.last.d_b) else float(self.last.d_b)
+        return self.config.border.d_b if np.isnan(self.last.d_b) else float(self.last.d_b)
 
     def step(
         self,
@@ -199,9 +174,9 @@ class Controller:
                 its position limits, or the first reading's time stamp is too far from `now`.
         """
         if base_acceleration is None:
-            return self._step(measurement, reference, BASE_AS_COMMANDED)
+            return self._step(measurement, reference, algorithm.BASE_AS_COMMANDED)
         self.last.a_base_meas[:] = base_acceleration
-        return self._step(measurement, reference, BASE_MEASURED)
+        return self._step(measurement, reference, algorithm.BASE_MEASURED)
 
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
         """A step as in `step`, with the base acceleration from the model of the drive.
@@ -209,7 +184,7 @@ class Controller:
         The model computes the acceleration from the last velocity command, not from the new one.
         """
         if not self._own_drive:
-            return self._step(measurement, reference, DRIVE_MODEL)
+            return self._step(measurement, reference, algorithm.DRIVE_MODEL)
         measurement = checked(measurement, self._model)
         drive = measurement.drive if len(measurement.drive) else self._base.drive_at_rest()
         read, v_cmd = measurement.base_velocity, self.last.v_cmd
@@ -217,7 +192,7 @@ class Controller:
         v = np.where(possible, read, self.last.base_velocity)
         a = self._base.drive_acceleration(v, drive, v_cmd)
         self.last.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
-        return self._step(measurement, reference, BASE_MEASURED)
+        return self._step(measurement, reference, algorithm.BASE_MEASURED)
 
     def _step(
         self, measurement: Measurement, reference: Reference | None, base_source: int
@@ -230,12 +205,16 @@ class Controller:
             if not _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate):
                 raise contract.no_motion(reference)
         base, velocity, q, qd, drive, now, time, base_time = measurement
-        if base_time == base_time:
-            base, velocity = self._later_base(measurement)
-        self.faulty = _estimate(robot, gains, w.struct, base, velocity, q, qd, drive, now, time)
+        if base_time == base_time:  # advance the base's readings to the time of the joints'
+            new = time == time and time != w.stamp
+            until = time if new else now - float(w.lag) * self.dt
+            age = np.inf if base_time - now > EARLY else until - base_time
+            base, velocity = _later(robot, gains, w.struct, base, velocity, age)
+        readings = base, velocity, q, qd, drive
+        self.faulty = _estimate(robot, gains, w.struct, readings, now, time)
         if self.faulty and w.faults[PERIOD]:
             ratio = float(w.clock_ratio or w.ratio)
-            self._dt = min(max(self._dt * ratio, contract.SHORTEST), contract.LONGEST)
+            self.dt = min(max(self.dt * ratio, contract.SHORTEST), contract.LONGEST)
             self._set_gains()
             if w.stamp == w.stamp:  # its age is now a different number of periods
                 hidden = w.hidden_lag - w.stated_lag
@@ -253,28 +232,20 @@ class Controller:
         while left_open := _law(robot, gains, slow, border, w.struct, base_source, tracking):
             self._rescue(int(left_open) - 1)
         if self._own_commands and w.command_due:
-            largest = largest_command(self._base, self._config.admittance)
+            largest = largest_command(self._base, self.config.admittance)
             w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, largest)
         return w
-
-    def _later_base(self, measurement: Measurement) -> tuple[Array, Array]:
-        """The base's pose and velocity at the measurement of the joints; NaN for unusable ones."""
-        pose, v, _, _, _, now, time, base_time = measurement
-        new = time == time and time != self.last.stamp
-        until = time if new else now - float(self.last.lag) * self._dt
-        age = np.inf if base_time - now > EARLY else until - base_time
-        return _later(self._robot, self._gains, self.last.struct, pose, v, age)
 
     def _rescue(self, which: int) -> None:
         """Solve an open QP by ProxQP, or the hierarchy; write rows `which` of qp_x and qp_tried."""
         w, m = self.last, int(self.last.qp_rows)
         w.qp_tried[which] = 1.0
-        if which == HIERARCHY:
-            w.qp_x[which] = solved_by_hierarchy(w, self._config.task)
+        if which == algorithm.HIERARCHY:
+            w.qp_x[which] = solved_by_hierarchy(w, self.config.task)
             return
-        fixed = 0 if which == FREE_BASE else self._model.n_b
+        fixed = 0 if which == algorithm.FREE_BASE else self._model.n_b
         limits = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
-        solution = changed_by_proxqp if which == ROOM else solved_by_proxqp
+        solution = changed_by_proxqp if which == algorithm.ROOM else solved_by_proxqp
         w.qp_x[which] = solution(w.qp_H, w.qp_c, *limits, w.qp_fixed[:fixed])
 
 
@@ -406,25 +377,19 @@ class ControlLoop:
         for name in command.faults:
             if name not in self.reported:
                 self.reported.add(name)
-                more = {
-                    "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
-                    "period": f" ({self.controller.dt * 1000:.2f} ms{self._too_long()})",
-                }
-                note = more.get(name, "") + contract.rounding(measured, 0.5 * self.controller.dt)
-                logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
-
-    def _too_long(self) -> str:
-        """The message about a gain that is too large for the measured period, or no text."""
-        try:
-            contract.check_gains(self.controller.config, self.controller.dt)
-        except ConfigError as error:
-            return f"; {error}"
-        return ""
+                dt, more = self.controller.dt, ""
+                if name == "lag":
+                    more = f" ({command.step.lag * dt * 1000:.0f} ms)"
+                elif name == "period":
+                    too_large = contract.too_large_gain(self.controller.config, dt)
+                    more = f" ({dt * 1000:.2f} ms{too_large and f'; {too_large}'})"
+                more += contract.rounding(measured, 0.5 * dt)
+                logger.warning("readings, %s: %s%s", name, FAULTS[name], more)
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:
     """The value of each dimension in `quantities.DIMENSIONS`."""
-    pairs, mobile, rows = len(data.pairs.all), len(data.pairs.mobile), len(smooth.joints)
+    pairs, mobile, rows = len(data.pairs.all), len(data.pairs.mobile), len(smooth.arrays["sought"])
     return {
         "n": model.n,
         "n_b": model.n_b,

@@ -2,19 +2,16 @@
 
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
 Torques and the base's motion predict a joint's acceleration; the external acceleration is a random
-walk. The noise is estimated from the readings themselves: the predicted accelerations explain the
-second difference of the positions except for a remainder, which the noise changes from reading to
-reading, with 20 times its variance. The weight of a velocity depends on its agreement with the
-difference of the last two positions. Thus the filter follows readings without noise at once, noisy
-readings do not shake the arm, and wrong or missing velocities have little or no effect.
+walk. The noise is estimated from the readings (`_learn`); the weight of a velocity depends on its
+agreement with the difference of the last two positions. Thus the filter follows readings without
+noise at once, noisy ones do not shake the arm, and wrong velocities have little or no effect.
 
 The estimate belongs to the newest reading; `advance` predicts the present state from it, and
 `estimate_load` finds loads in the external torques that the external accelerations imply. Tasks do
 not use the external acceleration: a guided end-effector stays free. Limits use it, so that joint
 speeds and distances stay within their limits while a person pulls.
 
-The argument `w` is a `STEP`. `estimate_arm` and its parts use its `x_read`, `P_est`, `noise_var`,
-`q_last` and `samples`.
+The argument `w` is a `STEP`.
 """
 
 import math
@@ -130,22 +127,21 @@ def estimate_arm(
 
     If it cannot, the filter restarts at the reading with an external acceleration of 0; after a gap
     it restarts with the last external acceleration. Until the estimate of the noise has `FEWEST`
-    samples, `_begin_at` replaces the filter. A joint without a position is only predicted.
+    samples, `_begin_at` replaces the filter. A joint without a position is only predicted. As in
+    drives and simulators, a measured velocity is the mean velocity of the last control period.
 
-    Args:
-        w: See the module's docstring.
-        predicted: (k, n_m) `predicted_joint_acceleration` in each of the k control periods
-            since the last reading; no rows after a gap.
-        read: (2, n_m) positions [rad or m] and velocities [rad/s or m/s]; NaN if one is unknown.
-        qd_max: (n_m,) joint speed limits.
-        drift: (n_m,) `process_noise`.
-        gains: `GAINS`.
+    `w` is a `STEP`; its `x_read`, `P_est`, `noise_var`, `q_last` and `samples` are used.
+    `predicted` (k, n_m) has the `predicted_joint_acceleration` in each of the k control periods
+    since the last reading; no rows after a gap. `read` (2, n_m) has positions [rad or m] and
+    velocities [rad/s or m/s], NaN if one is unknown. `qd_max` (n_m,) are the joints' speed limits,
+    `drift` (n_m,) is `process_noise`, and `gains` `GAINS`.
     """
-    steps, dt, last, q, qd = len(predicted), gains.dt, w.q_last, read[0], read[1]
-    jumped = steps > 0 and has_jumped(w.x_read, q, qd_max, steps, dt, last[3])
+    x, P, last, steps, dt = w.x_read, w.P_est, w.q_last, len(predicted), gains.dt
+    q, qd = read
+    jumped = steps > 0 and has_jumped(x, q, qd_max, steps, dt, last[3])
     continued, periods = steps > 0 and not jumped, steps + last[3]
     if jumped:
-        fill(w.x_read[2], 0.0)
+        fill(x[2], 0.0)
     if continued:
         w.samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
         _learn(w, predicted, q, qd, gains)
@@ -156,10 +152,16 @@ def estimate_arm(
                 last[3, i] = 0.0
             last[2, i] = math.nan
     trusted = _at_least(w.noise_var, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
-    if continued and w.samples[()] >= FEWEST:
-        _follow(w, predicted, q, qd, trusted, drift, _SUDDEN * dt * periods * qd_max, dt)
+    if not continued or w.samples[()] < FEWEST:
+        _begin_at(w, trusted, predicted if continued else predicted[:0], q, qd, qd_max, gains)
         return jumped
-    _begin_at(w, trusted, predicted if continued else predicted[:0], q, qd, qd_max, gains)
+    advance(x, predicted, dt)
+    for i in range(len(q)):
+        grow(P[i], drift[i], steps, dt)
+        sudden = _SUDDEN * dt * periods[i] * qd_max[i]
+        for k in range(2):
+            if not (math.isnan(q[i]) or math.isnan(read[k, i])):
+                _correct(x[:, i], P[i], k, read[k, i], trusted[k, i], sudden)
     return jumped
 
 
@@ -219,12 +221,9 @@ def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
     [1/s] times that of its position and `least` / dt: drives compute velocities from the same
     positions. dt [s] is the time since the last reading.
     """
-    found = np.empty_like(variances)
-    for i in range(variances.shape[1]):
-        of_q, of_qd = variances[0, i], variances[1, i]
-        found[0, i] = max(of_q, least**2)
-        found[1, i] = max(of_qd, ratio**2 * of_q, (least / dt) ** 2)
-    return found
+    of_q, of_qd = variances
+    of_qd = np.maximum(np.maximum(of_qd, ratio**2 * of_q), (least / dt) ** 2)
+    return np.stack((np.maximum(of_q, least**2), of_qd))
 
 
 @compiled()
@@ -259,35 +258,6 @@ def grow(p: Array, drift: float, periods: int, dt: float) -> None:
             p[j, 1] += dt * p[j, 2]
             p[j, 0] += dt * p[j, 1]
         p[2, 2] += drift**2 * dt
-
-
-@compiled()
-def _follow(
-    w: Any,
-    predicted: Array,
-    q: Array,
-    qd: Array,
-    variances: Array,
-    drift: Array,
-    sudden: Array,
-    dt: float,
-) -> None:
-    """Predict the state of each joint to this reading; correct it by the position and the velocity.
-
-    A measured velocity counts as the mean velocity of the last control period, as in drives and
-    simulators. `variances` (2, n_m) are those of the noise; `sudden` (n_m,) [rad/s² or m/s²] is the
-    largest change of the external acceleration by a correction.
-    """
-    x = w.x_read
-    advance(x, predicted, dt)
-    for i in range(len(q)):
-        p = w.P_est[i]
-        grow(p, drift[i], len(predicted), dt)
-        if math.isnan(q[i]):
-            continue
-        _correct(x[:, i], p, 0, q[i], variances[0, i], sudden[i])
-        if not math.isnan(qd[i]):
-            _correct(x[:, i], p, 1, qd[i], variances[1, i], sudden[i])
 
 
 @compiled()

@@ -25,17 +25,9 @@ ByAxis = tuple[float, ...]  # [m/s² or rad/s²] along the base's axes
 Controlled = Literal["guiding", "tracking"]
 LevelName = Literal["base", "arm", "links", "ee", "posture", "free"]
 
-BoundKind = Literal[
-    "torque",
-    "position",
-    "velocity",
-    "barrier",
-    "torque rate",
-    "acceleration",
-    "angular acceleration",
-    "speed",
-    "turning speed",
-]
+ArmBound = Literal["torque", "torque rate", "position", "velocity", "barrier"]
+BaseBound = Literal["acceleration", "angular acceleration", "speed", "turning speed"]
+BoundKind = ArmBound | BaseBound
 
 TOLERANCE = 1e-5
 """Tolerance of an active bound, in the unit of its row: N m or N for a torque, 1/s for a joint (the
@@ -67,8 +59,7 @@ class ForceSplit(NamedTuple):
     turn_acceleration: ByAxis
     """[m/s² or rad/s²] acceleration (16) by `turn` alone, times β_m."""
     determinant: float
-    """Absolute value of the base's measure at p_act; for a differential base det(J_c J_cᵀ) of (7)
-    [m⁴/rad⁴]."""
+    """|measure| of the base at p_act; for a differential base det(J_c J_cᵀ) of (7) [m⁴/rad⁴]."""
     reachability: float
     """[-] R of (9) at p_act."""
     score: float
@@ -123,8 +114,7 @@ class Explanation(NamedTuple):
     mode: Controlled
     """Whether a person guides the arm, or the arm tracks a reference."""
     solved: bool
-    """False for the fallback command: the readings were not valid, or the arm's QP had no
-    solution."""
+    """False for the fallback command, without valid readings or a solution of the arm's QP."""
     chain: tuple[str, ...]
     """Names of all bodies: the base, then those of the arm from the base outwards."""
     near: tuple[NearPair, ...]
@@ -168,16 +158,15 @@ def explain(
     bounds = active_bounds(model, w, config) if solved else []
     limited = {bound.where for bound in bounds if bound.kind == "barrier"}
     near = (_near_pair(model, w, i, limited=p.name in limited) for i, p in enumerate(w.pairs))
+    near = sorted(filter(None, near), key=lambda p: (p.mobile, p.beta, -p.d), reverse=True)
     nearest = int(np.argmin(w.d[: w.n_mob]))
-    known = [pair for pair in near if pair is not None]
-    known.sort(key=lambda p: (p.mobile, max(p.beta, p.arm_beta), -p.d), reverse=True)
     base = model.description.base
     return Explanation(
         controller=controller.name,
         mode="tracking" if w.tracking else "guiding",
         solved=solved,
         chain=tuple(model.body_names),
-        near=tuple(known),
+        near=tuple(near),
         nearest=(w.pairs[nearest].a, w.pairs[nearest].b, float(w.d[nearest])),
         axes=base.axes,
         base_avoidance=_tuple_of(w.base_avoidance),
@@ -193,7 +182,8 @@ def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
     """The slack of each active task: w_sca* of (29), w_2 while tracking, and the lowest task's."""
     levels, n_b = [], base.n_b
     if w.B[0] > 0.0:
-        levels.append(Level("base", *linear_and_angular(base, w.a_base_des - w.a_base_cmd)))
+        angular, error = np.array([axis.angular for axis in base.axes]), w.a_base_des - w.a_base_cmd
+        levels.append(Level("base", _norm(error[~angular]), _norm(error[angular])))
     slack, links = row_slacks(w), slice(n_b, n_b + len(w.pairs) - w.n_mob)
     if (w.B[links.stop :] > 0.0).any():
         levels.append(Level("arm", _norm(slack[links.stop :]), None))
@@ -223,12 +213,6 @@ def row_slacks(w: ControlStep) -> Array:
     return np.where(w.B > 0.0, blend - w.J_sca @ w.qdd, 0.0)
 
 
-def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
-    """Norms of the linear and of the angular part of a vector (n_b,) along the base's axes."""
-    angular = np.array([axis.angular for axis in base.axes])
-    return _norm(values[~angular]), _norm(values[angular])
-
-
 def _norm(vector: Array) -> float:
     return float(np.linalg.norm(vector))
 
@@ -238,11 +222,9 @@ def split(f: Array, n: Array) -> tuple[Array, Array]:
 
     If the normal n (3,) from the base to the arm is vertical, all of f is across.
     """
-    along = np.array([n[0], n[1], 0.0])
-    length = float(np.linalg.norm(along))
-    if length < 1e-9:
-        return np.zeros(3), f.copy()
-    along /= length
+    horizontal = np.array([n[0], n[1], 0.0])
+    length = _norm(horizontal)
+    along = horizontal / length if length >= 1e-9 else np.zeros(3)
     away = float(f @ along) * along
     return away, f - away
 
@@ -250,10 +232,9 @@ def split(f: Array, n: Array) -> tuple[Array, Array]:
 def _near_pair(model: RobotModel, w: ControlStep, i: int, *, limited: bool) -> NearPair | None:
     """The i-th pair, or None if its activation is 0 and its barrier is not active."""
     mobile, beta, n = i < w.n_mob, float(w.beta[i]), w.normal[i]
-    pushed = mobile and bool((w.B[w.n_b + len(w.pairs) - w.n_mob :] > 0.0).any())
-    arm_beta = beta if pushed else 0.0
-    if beta == 0.0 and arm_beta == 0.0 and not limited:
+    if beta == 0.0 and not limited:
         return None
+    pushed = mobile and bool((w.B[w.n_b + len(w.pairs) - w.n_mob :] > 0.0).any())
     return NearPair(
         *w.pairs[i],
         mobile,
@@ -261,7 +242,7 @@ def _near_pair(model: RobotModel, w: ControlStep, i: int, *, limited: bool) -> N
         beta,
         n=tuple((w.R_base.T @ n).tolist()),
         above=1.0 - math.hypot(*n[:2].tolist()) if mobile else 0.0,
-        arm_beta=arm_beta,
+        arm_beta=beta if pushed else 0.0,
         limited=limited,
         force=_force_split(model, w, i) if mobile else None,
     )
@@ -294,9 +275,7 @@ def _tuple_of(v: Array) -> ByAxis:
 
 def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bound]:
     """The active limits of a step with a solution: those of the arm, then those of the base."""
-    n_m = model.n_m
-    low, high = met(w)
-    joints = model.description.arm.joints
+    (low, high), n_m, joints = met(w), model.n_m, model.description.arm.joints
     bounds: list[Bound] = []
     convex = [
         pair.name for pair, rows in zip(w.pairs, w.rows, strict=True) for _ in rows[1:] or rows
@@ -339,7 +318,7 @@ def met(w: ControlStep) -> tuple[Array, Array]:
 
 def _joint_kind(
     model: RobotModel, w: ControlStep, config: Config, joint: int, upper: bool
-) -> BoundKind:
+) -> ArmBound:
     """Whether the position limit or the speed limit causes the tighter acceleration bound."""
     at, rates = int(upper), config.limit
     q, qd = w.q_m[joint], w.qd_m[joint]

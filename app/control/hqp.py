@@ -46,8 +46,7 @@ def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
     """The levels below T_sca: T_2 and posture, or base at rest and gravity compensation.
 
     The posture level is the diagonal objective `w.H_low`. The base at rest is q̈_b = −k q̇_b. The
-    gravity compensation minimises (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), with u_a = M_a q̈ + h_a and
-    u_0 = `w.u_free`.
+    gravity compensation minimises (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0) with u_0 = `w.u_free`.
     """
     n_b = w.n_b
     if w.tracking:

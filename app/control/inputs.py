@@ -16,7 +16,7 @@ from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.strict import Array
-from app.structs import struct_type
+from app.structs import StructType
 
 _FLOAT, _FLAG = types.f8, types.b1
 _VECTOR, _MATRIX = types.Array(types.f8, 1, "C"), types.Array(types.f8, 2, "C")
@@ -57,7 +57,7 @@ _ROBOT: dict[str, Any] = {
     "score_coefficients": _MATRIX,  # (n_mob, 9) `ScoreField.coefficients`
 }
 _Robot: Any = NamedTuple("_Robot", [(each, Any) for each in _ROBOT])  # type: ignore[misc]
-ROBOT = struct_type("_Robot", _ROBOT)
+ROBOT = StructType("_Robot", _ROBOT)
 """The struct of the robot's constants, for signatures of compiled functions."""
 
 _SECTIONS = "border", "force", "activation", "repulsion", "barrier", "task", "limit", "estimate"
@@ -85,7 +85,7 @@ _GAINS: dict[str, Any] = {
     "hierarchy": _FLAG,  # q̈ solves the paper's hierarchy, `app.control.hqp`
 }
 _Gains: Any = NamedTuple("_Gains", [(each, Any) for each in _GAINS])  # type: ignore[misc]
-GAINS = struct_type("_Gains", _GAINS)
+GAINS = StructType("_Gains", _GAINS)
 """The struct of the gains, for signatures of compiled functions."""
 
 METHODS: Mapping[str, frozenset[str]] = {
@@ -114,7 +114,6 @@ def robot_struct(
     rows = [parts or [whole] for whole, *parts in smooth.rows]
     scores = [ScoreField.of(model, pair.b).coefficients() for pair in mobile]
     own = {
-        "n_b": model.n_b,
         "n_mob": len(mobile),
         "T_J_m": model.S[:3, : model.n_b],
         "A_b": base.A_b,

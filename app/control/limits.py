@@ -13,22 +13,15 @@ from typing import Any
 import numpy as np
 
 from app.compiled import compiled
-from app.control.qp import cholesky, dot, fill, forward, inverse_diagonal, put, solved, times
+from app.control.qp import cholesky, clip, fill, forward, inverse_diagonal, put, solved, times
 from app.strict import Array
-
-_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent velocity errors
-_MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a larger one would let
-# the constraints throw the arm away from an obstacle that it hardly approaches
 
 
 @compiled()
 def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
     """Smallest and largest torques (n_m,) [N m or N]: `u_last` ± `change`, within ±`tau_max`."""
-    low, high = np.empty(len(u_last)), np.empty(len(u_last))
-    for i in range(len(u_last)):
-        at = min(max(u_last[i], -tau_max[i]), tau_max[i])
-        low[i], high[i] = max(at - change, -tau_max[i]), min(at + change, tau_max[i])
-    return low, high
+    at = clip(u_last, -tau_max, tau_max)
+    return np.maximum(at - change, -tau_max), np.minimum(at + change, tau_max)
 
 
 @compiled()
@@ -49,40 +42,14 @@ def velocity_bound(qd: float, limit: float, rate: float) -> float:
 
 @compiled()
 def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: float) -> float:
-    """The lower bound [m/s²] on J q̈ that keeps h = d − d_min from becoming negative.
+    """The lower bound [m/s²] on J q̈ that keeps h = d − d_min [m] from becoming negative.
 
     ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
-    that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
-    because an h below −2 max_speed/λ counts as this value. `Jdqd` [m/s²] is the acceleration of the
-    distance at q̈ = 0, `d_dot` [m/s] the speed of the distance, `h` is in m, `rate` [1/s] is λ, and
-    `max_speed` is in m/s.
+    that starts nearer, even in penetration, separates at the rate λ (`rate` [1/s]), at most at
+    `max_speed` [m/s], because an h below −2 max_speed/λ counts as this value. `Jdqd` [m/s²] is the
+    acceleration of the distance at q̈ = 0, `d_dot` [m/s] its speed.
     """
     return -2.0 * rate * d_dot - rate**2 * max(h, -2.0 * max_speed / rate) - Jdqd
-
-
-@compiled()
-def fastest_rate(blind_time: float, dt: float) -> float:
-    """[1/s] largest rate 1/(2 T) of the additional, slower bounds on q̈; infinite for T ≤ dt.
-
-    T [s] is `w.blind_time`, and dt [s] the control period. Between readings the law reacts to its
-    own prediction: a faster reaction to a wrong prediction would let the arm oscillate.
-    """
-    return 0.5 / blind_time if blind_time > dt else math.inf
-
-
-@compiled()
-def speed_margin(v_error: Array, qd_max: Array) -> Array:
-    """(n_m,) [rad/s or m/s] margin of the speed limits: 3 `v_error`, at most `qd_max` / 2."""
-    return np.minimum(_MARGIN * v_error, _MOST_MARGIN * qd_max)
-
-
-@compiled()
-def speed_error(J: Array, v_error: Array) -> float:
-    """[m/s] error of J q̇, for J (n_m,) and independent errors (n_m,) of the joints' speeds."""
-    square = 0.0
-    for i in range(len(J)):
-        square += J[i] ** 2 * v_error[i] ** 2
-    return math.sqrt(square)
 
 
 @compiled()
@@ -173,20 +140,6 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
 
 
 @compiled()
-def distance_rows(
-    J: Array, least: Array, rows: Array, qdd_ext: Array, C: Array, l: Array, u: Array
-) -> None:
-    """Write `least` ≤ J (q̈ + q̈_ext) into C (k, n), l and u (k,), for the k rows of J in `rows`.
-
-    q̈_ext has the external acceleration `qdd_ext` (n_m,) of the arm, and 0 for the base.
-    """
-    n_b = C.shape[1] - len(qdd_ext)
-    for i in range(len(rows)):
-        put(C[i], J[rows[i]])
-        l[i], u[i] = least[i] - dot(J[rows[i], n_b:], qdd_ext), np.inf
-
-
-@compiled()
 def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max: Array) -> float:
     """[N] largest push on the arm's closest point towards the other body that the arm can resist.
 
@@ -200,9 +153,9 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
     the arm resists for a moment by its inertia, and joints can exceed their speed limits. The
     result is at least 0; it is 0 at contact, and if no joint of the arm changes the distance.
 
-    `d` [m] and `d_dot` [m/s] are the signed distance and its speed, which is negative during an
-    approach. J (n,) is the Jacobian of the distance, M (n, n) the inertia matrix. `load` (n,) has
-    the torques t: the gravity terms at rest, or `steady_torques`. `tau_max` (n_m,) has the τ_i.
+    `d` [m] is the signed distance, `d_dot` [m/s] its derivative, J (n,) its Jacobian, and M (n, n)
+    the inertia matrix. `load` (n,) has the torques t: the gravity terms at rest, or
+    `steady_torques`. `tau_max` (n_m,) has the τ_i.
     """
     n_b, static = len(J) - len(tau_max), np.inf
     for i in range(len(tau_max)):

@@ -90,15 +90,11 @@ def backward(L: Array, b: Array) -> Array:
 @compiled()
 def inverse_diagonal(L: Array) -> Array:
     """The diagonal (n,) of H⁻¹ with H = L Lᵀ."""
-    n = len(L)
-    found, x = np.zeros(n), np.empty(n)
-    for i in range(n):  # the column L⁻¹ e_i starts at its i-th entry
-        for j in range(i, n):
-            value = 1.0 if j == i else 0.0
-            for l in range(i, j):
-                value -= L[j, l] * x[l]
-            x[j] = value / L[j, j]
-            found[i] += x[j] ** 2
+    found, unit = np.empty(len(L)), np.zeros(len(L))
+    for i in range(len(L)):
+        unit[i] = 1.0
+        column = forward(L, unit)
+        unit[i], found[i] = 0.0, dot(column, column)
     return found
 
 
@@ -194,15 +190,8 @@ def compliances(softness: Array, length: Array) -> Array:
     the row, a light wrist would accelerate strongly to brake a heavy shoulder. `softness` (m,) has
     ε² of each row, and `length` (m,) its length √(C_i H⁻¹ C_iᵀ) before the scaling.
     """
-    least = np.inf
-    for i in range(len(softness)):
-        if softness[i] > 0.0:
-            least = min(least, length[i])
-    found = np.zeros(len(softness))
-    for i in range(len(softness)):
-        if softness[i] > 0.0:
-            found[i] = softness[i] * (least / length[i]) ** 2
-    return found
+    ratio = np.where(softness > 0.0, length, np.inf).min() / length
+    return np.where(softness > 0.0, softness * (ratio * ratio), 0.0)
 
 
 @compiled()
@@ -211,16 +200,10 @@ def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple
 
     An active row counts as at its bound, a row with NaN as the most violated one.
     """
-    miss = np.empty(len(s))
-    for i in range(len(s)):
-        low, high = below[i] - s[i], s[i] - above[i]
-        miss[i] = high if high > low or math.isnan(high) else low
+    miss = np.maximum(below - s, s - above)
     for i in active:
         miss[i] = 0.0
-    p = 0
-    for i in range(len(miss)):
-        if miss[i] > miss[p] or (math.isnan(miss[i]) and not math.isnan(miss[p])):
-            p = i
+    p = int(np.argmax(miss))  # the first NaN, if there is one
     return p, float(miss[p])
 
 
@@ -240,14 +223,12 @@ def _nearest_within(
     if _holds(C, l, u, x, _MISSED):
         return x, True
     n, m = len(x), len(l)
-    a, below, above, length = np.empty((m, n)), np.empty(m), np.empty(m), np.empty(m)
+    a, length, reached = np.empty((m, n)), np.empty(m), times(C, x)
     for i in range(m):
-        put(a[i], forward(L, C[i]))
-        length[i] = math.sqrt(dot(a[i], a[i])) + 1e-12
-        for j in range(n):
-            a[i, j] /= length[i]
-        reached = dot(C[i], x)
-        below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
+        row = forward(L, C[i])
+        length[i] = math.sqrt(dot(row, row)) + 1e-12
+        put(a[i], row / length[i])
+    below, above = (l - reached) / length, (u - reached) / length
     K, compliance = np.empty((m, m)), compliances(softness, length)
     for i in range(m):
         for j in range(m):
@@ -278,15 +259,6 @@ def _nearest_within(
 
 
 @compiled()
-def _joined(fixed: Array, rest: Array) -> Array:
-    """(n,) the entries `fixed`, then the entries `rest`."""
-    x = np.empty(len(fixed) + len(rest))
-    put(x[: len(fixed)], fixed)
-    put(x[len(fixed) :], rest)
-    return x
-
-
-@compiled()
 def _free_optimum(H: Array, c: Array, fixed: Array) -> tuple[Array, Array]:
     """For the entries after the fixed ones: Cholesky factor of H, and optimum without limits."""
     k = len(fixed)
@@ -302,26 +274,17 @@ def solve_qp(
 
     A slack s of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's softness and κ is the
     smallest C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε²
-    times the violation at the optimum without limits. Soft limits, even conflicting ones, never
-    make the problem infeasible.
+    times the violation at the optimum without limits. Soft limits are never infeasible.
 
-    Args:
-        H: (n, n) symmetric positive definite.
-        c: (n,) linear term.
-        C: (m, n) rows of the limits.
-        l: (m,) lower limits.
-        u: (m,) upper limits.
-        softness: (m,) [-] softness ε² of each row; a row with 0 is hard.
-        fixed: (k,) the first entries of x.
-
-    Returns:
-        (n,) the solution, and whether the active-set search has found it.
+    H (n, n) is symmetric positive definite, c (n,) the linear term. The rows C (m, n) have the
+    limits l and u (m,) and the softness ε² (m,) [-]; a row with 0 is hard. `fixed` (k,) are the
+    first entries of x. Returns the solution (n,), and whether the active-set search has found it.
     """
     k = len(fixed)
     L, free = _free_optimum(H, c, fixed)
     moved = times(C[:, :k], fixed)
     rest, found = _nearest_within(free, L, C[:, k:], l - moved, u - moved, softness)
-    return _joined(fixed, rest), found
+    return np.concatenate((fixed, rest)), found
 
 
 @compiled()
@@ -333,7 +296,7 @@ def solve_qp_step(
     The distance is in the metric H, and slacks cost as in `solve_qp`. All entries of x can differ
     from x_0, the fixed entries too. Arguments and results are those of `solve_qp`.
     """
-    x = _joined(fixed, _free_optimum(H, c, fixed)[1])
+    x = np.concatenate((fixed, _free_optimum(H, c, fixed)[1]))
     return _nearest_within(x, cholesky(H), C, l, u, softness)
 
 
@@ -388,9 +351,6 @@ def _nearest_to_zero(A: Array, l: Array, u: Array) -> Array:
     qp.init(np.eye(n), np.zeros(n), None, None, A, l / far, u / far)
     qp.solve()
     info = qp.results.info
-    if (
-        info.status != proxqp.PROXQP_SOLVED
-        and not max(info.pri_res, info.dua_res) < _PROXQP_REQUIRED
-    ):
-        return np.full(n, np.nan)
-    return far * qp.results.x
+    accurate = max(info.pri_res, info.dua_res) < _PROXQP_REQUIRED
+    is_solved = info.status == proxqp.PROXQP_SOLVED or accurate
+    return far * qp.results.x if is_solved else np.full(n, np.nan)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from typing_extensions import Self
 
 from app.robot.link_pairs import Pair
 from app.strict import Array
-from app.structs import struct_type
+from app.structs import StructType
 
 
 class Quantity(NamedTuple):
@@ -90,103 +90,81 @@ twists | | n_j 6 | m/s, rad/s | world | |
 biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings |
-    1 if a reading of the last 0.1 s is usable and no contradiction was found, else 0
+    0 before a usable reading, after 0.1 s without one, or after a contradiction; else 1
 faults | | 13 | 1 | | readings | 1 for each fault of the readings, in the order of `readings.FAULTS`
-contradiction | | | 1 | | readings |
-    memory: evidence that the readings contradict the commanded torques
-age | | | 1 | | readings | memory: control periods since the newest reading
-lag | | | 1 | | readings | memory: delay of the readings in control periods
-clock | | | s | | readings | memory: `Measurement.now` of the last step; NaN without a clock
-clock_ahead | | | 1 | | readings |
-    memory: control periods by which the clock is ahead of the counted ones
-clock_rest | | | 1 | | readings | memory: number of steps since the clock has changed
-clock_span | | 3 | 1 | | readings |
-    memory: since the last measurement of the period by the clock, the number of steps, and the
-    sums of their intervals in control periods and of the squares of these intervals
-clock_ratio | | | 1 | | readings |
-    memory: ratio of the control period by the clock to `dt`; 0 before a measurement
-elapsed | | | s | | readings |
-    memory: time since the last step: a control period; several after a stall of up to 0.1 s; 0 for
-    a step that catches up
-stamp | | | s | | readings | memory: time stamp of the newest reading; NaN without one
-hidden_lag | | | 1 | | readings |
-    memory: the part of `lag` that time stamps do not show, in control periods
-stated_lag | | | 1 | | readings | memory: the part of `lag` that `estimate.delay` states
-blind_time | T | | s | | readings |
-    memory: recent longest age of the readings in use, including doubts about it
-ratio | | | 1 | | readings |
-    memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
-agreed | | | s | | readings |
-    memory: duration of the successive measurements that agree on a `ratio` other than 1
-corrected | | | 1 | | readings | memory: 1 after the fault `period`
-no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
-rested | | n_m | 1 | joints | readings |
-    memory: number of equal readings of each joint that are no repetitions
-grain | | n_m | rad, m | joints | readings |
-    memory: upper bound of the resolution of each joint's readings; 0 before a change
-interval | | | 1 | | readings | memory: control periods between the last two new readings
-reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
-pose_read | | 3 | m, m, rad | world | readings | memory: newest pose of the base
+blind_time | T | | s | | readings | memory: recent longest age of the readings, including doubts
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
-pose_last | | 3 | m, m, rad | world | readings | memory: pose of the base at the last used reading
-pose_moved | | 3 | m, m, rad | world | readings |
-    memory: integral of the velocities since the newest pose of the base
-pose_error | | 3 | m, m, rad | world | readings |
-    memory: recent changes of the pose minus the integrals of the velocities
-pose_jump | | 3 | m, m, rad | world | readings |
-    memory: difference of the newest pose from the expected one; 0 after the reference has used it
-pose_way | | 2 | m, rad | | readings |
-    memory: recent path length and angle by the base's velocity; infinite until a pose is known
-pose_age | | | s | | readings | memory: time since the newest pose of the base
-astray | | n_b | m/s, rad/s | axes | readings |
-    memory: recent changes of the base's velocity that the model of its drive does not explain
-history | | 128 n_m | rad/s² | joints | readings |
-    memory: predicted joint accelerations of the last control periods, as a ring buffer
-base_history | | 128 n_b | m/s², rad/s² | axes | readings |
-    memory: assumed accelerations of the base in the periods of `history`
-base_late | | | 1 | | readings |
-    memory: 1 if the base's readings have a time stamp, and are advanced to the time of the joints'
-base_lost | | | 1 | | readings | memory: 1 if the last step had no new reading of the base
-periods | | | 1 | | readings | memory: index of the newest row of `history`
-known | | | 1 | | readings | memory: number of rows of `history` since the last gap
-group | | 16 n_m | rad | joints | readings | memory: mean positions of the last groups of readings
-group_age | | 16 | 1 | | readings | memory: mean age of each row of `group`, in control periods
-group_size | | | 1 | | readings | memory: number of readings in the newest group
-evidence | | 26 | 1 | | readings |
-    memory: evidence for each lag from 0 to 24 control periods, and for a longer one
-travel | | 3 n_m | rad, rad/s | joints | readings |
-    memory: start positions for the measurement of the period, the integral of the velocities, and
-    the velocities at the start
-since | | | 1 | | readings | memory: number of readings in the integral of `travel`
-travel_time | | | s | | readings | memory: duration of the integral of `travel`
 load | m | | kg | | readings |
-    memory: mass at the end-effector that best explains the external torques of the last interval
-loaded | | | kg | | readings |
-    memory: sum of the loads that began suddenly, minus the additions to `payload.mass`
-unstated | | | kg | | readings |
-    memory: mass of the reported load, negative if a stated load has ceased; 0 without one
-torques | | 8 n_m | N m, N | joints | readings |
-    memory: mean external torques in intervals of 0.02 s or longer, the newest first
-lifts | | 8 n_m | N m/kg, N/kg | joints | readings |
-    memory: mean torques that move a load of 1 kg at the end-effector, as in `torques`
-v_tip | | 3 | m/s | world | readings | memory: velocity of the end-effector one control period ago
-torques_age | | | s | | readings | memory: age of the newest interval of `torques`
+    memory: mass at the end-effector that explains the newest interval of `torques` best
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: present position, velocity and external acceleration q̈_ext
-x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
-    memory: Kalman state: the quantities of `x_est` at the newest reading
 P_est | P | n_m 3 3 | | joints | estimate | memory: covariance of the Kalman state
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: estimated noise variance of positions and velocities
-q_last |  | 4 n_m | rad/s, rad, 1 | joints | estimate |
-    memory: last velocity from positions, last position, the unexplained second difference of the
-    positions, and the control periods from the joint's newest reading to the newest of all
-v_error | | n_m | rad/s, m/s | joints | readings |
-    memory: recent error of the velocities that the law used; 0 while all readings are new
-qd_used | | 128 n_m | rad/s, m/s | joints | readings |
-    memory: `qd_m` of the last control periods, as a ring buffer
-samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
+# Memory of readings
+contradiction | | 1 | | evidence that the readings contradict the commanded torques
+age | | 1 | | control periods since the newest reading
+lag | | 1 | | delay of the readings in control periods
+clock | | s | | `Measurement.now` of the last step; NaN without a clock
+clock_ahead | | 1 | | control periods by which the clock is ahead of the counted ones
+clock_rest | | 1 | | number of steps since the clock has changed
+clock_span | 3 | 1 | |
+    since the last measurement of the period by the clock, the number of steps, and the sums of
+    their intervals in control periods and of the squares of these intervals
+clock_ratio | | 1 | | ratio of the control period by the clock to `dt`; 0 before a measurement
+elapsed | | s | |
+    time since the last step; a control period after more than 0.1 s; 0 in a step that catches up
+stamp | | s | | time stamp of the newest reading; NaN without one
+hidden_lag | | 1 | | the part of `lag` that time stamps do not show, in control periods
+stated_lag | | 1 | | the part of `lag` that `estimate.delay` states
+ratio | | 1 | | ratio of a joint's motion to the integral of its velocity; 0 before a measurement
+agreed | | s | | duration of the successive measurements that agree on a `ratio` other than 1
+corrected | | 1 | | 1 after the fault `period`
+no_velocity | | 1 | | 1 while velocities do not match the positions
+rested | n_m | 1 | joints | number of equal readings of each joint that are no repetitions
+grain | n_m | rad, m | joints | upper bound of each encoder's resolution; 0 before a change
+interval | | 1 | | control periods between the last two new readings
+reading | 2 n_m | rad, rad/s | joints | newest positions and velocities
+pose_read | 3 | m, m, rad | world | newest pose of the base
+pose_last | 3 | m, m, rad | world | pose of the base at the last used reading
+pose_moved | 3 | m, m, rad | world | integral of the velocities since the newest pose of the base
+pose_error | 3 | m, m, rad | world | recent changes of the pose minus those by the velocities
+pose_jump | 3 | m, m, rad | world |
+    difference of the newest pose from the expected one; 0 after the reference has used it
+pose_way | 2 | m, rad | | recent path length and angle; infinite until a pose is known
+pose_age | | s | | time since the newest pose of the base
+astray | n_b | m/s, rad/s | axes |
+    recent changes of the base's velocity that the model of its drive does not explain
+history | 128 n_m | rad/s² | joints | ring buffer: predicted accelerations in control periods
+base_history | 128 n_b | m/s², rad/s² | axes | assumed accelerations of the base, as in `history`
+base_late | | 1 | | 1 if the base's readings are advanced to the time stamp of the joints'
+base_lost | | 1 | | 1 if the last step had no new reading of the base
+periods | | 1 | | index of the newest row of `history`
+known | | 1 | | number of rows of `history` since the last gap
+group | 16 n_m | rad | joints | mean positions of the last groups of readings
+group_age | 16 | 1 | | mean age of each row of `group`, in control periods
+group_size | | 1 | | number of readings in the newest group
+evidence | 26 | 1 | | evidence for each lag from 0 to 24 control periods, and for a longer one
+travel | 3 n_m | rad, rad/s | joints |
+    start positions for the measurement of the period, the integral of the velocities, and the
+    velocities at the start
+since | | 1 | | number of readings in the integral of `travel`
+travel_time | | s | | duration of the integral of `travel`
+loaded | | kg | | sum of the loads that began suddenly, minus the additions to `payload.mass`
+unstated | | kg | | mass of the reported load, negative if a stated load has ceased; 0 without one
+torques | 8 n_m | N m, N | joints | mean external torques of intervals of ≥ 0.02 s, the newest first
+lifts | 8 n_m | N m/kg, N/kg | joints | torques that move a load of 1 kg, as in `torques`
+v_tip | 3 | m/s | world | velocity of the end-effector one control period ago
+torques_age | | s | | age of the newest interval of `torques`
+x_read | 3 n_m | rad, rad/s, rad/s² | joints | Kalman state: `x_est` at the newest reading
+v_error | n_m | rad/s, m/s | joints | recent error of velocities in use; 0 if all readings are new
+qd_used | 128 n_m | rad/s, m/s | joints | ring buffer: `qd_m` of the last control periods
+# Memory of estimate
+q_last | 4 n_m | rad/s, rad, 1 | joints |
+    last velocity from positions, last position, the unexplained second difference of the
+    positions, and the control periods from the joint's newest reading to the newest of all
+samples | | 1 | | number of samples in the noise estimate
 # Link pairs, acting points, the base's acceleration
 d_b | d_b | | m | | §2.2 | memory: present buffer distance; it approaches a new d_b slowly
 d | d | n_r | m | | line 4 | signed distances, negative in penetration
@@ -198,16 +176,14 @@ J | J_r | n_r n | m/rad, 1 | reduced | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
 beta | β | n_p | 1 | | Figure 10 | activation of each pair
-beta_m | β_m | | 1 | | (28) |
-    largest activation of the pairs of arm and base; `B` has the activation that the base's rows use
+beta_m | β_m | | 1 | | (28) | largest β of L_m; `B` has the activation of the base's rows in use
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
 p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score; NaN while β = 0
 p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point; NaN while β = 0
 tangent | t | n_mob 3 | 1 | base | (12) | tangent of the border at p_n; NaN while β = 0
 alpha | α | n_mob | m | | (13) | step size; NaN while β = 0
 f | f_m,i | n_mob 3 | N | base | (14) | force on the base, 0 while β = 0
-xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) |
-    desired base acceleration by the force, without the factor β_m
+xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) | base acceleration by the force, without factor β_m
 # Tasks
 J_sca | J_sca | n_s n | | | (25) | Jacobian of T_sca
 b_sca | ẍ_sca − J̇_sca q̇ | n_s | m/s², rad/s² | | (24) | right-hand side of T_sca
@@ -217,33 +193,32 @@ tracking | | | 1 | | | memory: 1 with a reference, 0 while a person guides the a
 x_ref | x_d | 4 3 | 1, m | world | (26) | reference pose: columns of the rotation, then position
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
 a_ref | ẍ_d | 6 | m/s², rad/s² | world | (26) | reference acceleration
-x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest reference; NaN before
-v_sent | | 6 | m/s, rad/s | world | references | memory: velocity of the newest reference
-a_sent | | 6 | m/s², rad/s² | world | references | memory: acceleration of the newest reference
-x_origin | | 4 3 | 1, m | world | references | memory: first pose of the interpolating polynomial
-way | | 6 6 | m, rad | world | references |
-    memory: coefficients of the interpolating polynomial by the power of time
-way_time | | | s | | references | memory: time since the beginning of `way`
-way_duration | | | s | | references | memory: duration of `way`; 0 without a polynomial
-way_continues | | | 1 | | references | memory: 1 if `way` does not end at rest
-way_capped | | | 1 | | references | memory: 1 if `way` ends before the newest sample
-shift | | 6 6 | m, rad | world | references |
-    memory: coefficients of the shift of the reference after a jump of the base's pose, by the power
-    of time
-shift_time | | | s | | references | memory: time since the beginning of `shift`
-shift_duration | | | s | | references | memory: duration of `shift`; 0 without a shift
-since_sample | | | s | | references | memory: time since the newest sample of a planner
-sample_interval | | | s | | references | memory: mean time between the samples of a motion; else 0
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
 b_ee | | 6 | m/s², rad/s² | world | (26) | right-hand side of T_2
 lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T_2
-q_posture |  | n_m | rad, m | joints | posture_objective |
+q_posture | | n_m | rad, m | joints | posture_objective |
     memory: arm posture of the first valid measurement, or of the last fault `jump`; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance
 H_low | H | n n | | reduced | (26) | Hessian of the posture task, or of the task of a guided arm
 c_low | c | n | | reduced | (26) | linear term of the task of `H_low`
 H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
 c | c | n | | reduced | (26) | linear term of all tasks below T_sca
+# Memory of references
+x_sent | 4 3 | 1, m | world | pose of the newest reference; NaN before
+v_sent | 6 | m/s, rad/s | world | velocity of the newest reference
+a_sent | 6 | m/s², rad/s² | world | acceleration of the newest reference
+x_origin | 4 3 | 1, m | world | first pose of the interpolating polynomial
+way | 6 6 | m, rad | world | coefficients of the interpolating polynomial by the power of time
+way_time | | s | | time since the beginning of `way`
+way_duration | | s | | duration of `way`; 0 without a polynomial
+way_continues | | 1 | | 1 if `way` does not end at rest
+way_capped | | 1 | | 1 if `way` ends before the newest sample
+shift | 6 6 | m, rad | world |
+    coefficients, by the power of time, of the shift after a jump of the base's pose
+shift_time | | s | | time since the beginning of `shift`
+shift_duration | | s | | duration of `shift`; 0 without a shift
+since_sample | | s | | time since the newest sample of a planner
+sample_interval | | s | | mean time between the samples of a motion; else 0
 # Limits, the base, the arm
 u_min | | n_m | N m, N | joints | torque_range | smallest torque of this step
 u_max | | n_m | N m, N | joints | torque_range | largest torque of this step
@@ -261,8 +236,7 @@ a_base_meas | | n_b | m/s², rad/s² | axes | assume_base |
     base acceleration in the arm's QP: of the drive's model, of the caller, or the commanded one
 qdd | q̈ | n | rad/s², m/s² | reduced | (29) | arm's QP solution; NaN with the fallback command
 u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque
-u_a | u | n_m | N m, N | joints | (26) |
-    memory: commanded arm torque after the first measured posture; NaN before
+u_a | u | n_m | N m, N | joints | (26) | memory: `u_cmd`; NaN before the first measured posture
 solved | | | 1 | | | 1 if the command is the QP's solution, 0 if it is the fallback command
 failures | | | 1 | | | memory: number of steps with the fallback command
 given_up | | | 1 | | | memory: number of steps without a solution of a QP of the base
@@ -273,24 +247,32 @@ v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command of the last comm
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: present velocity command
 # A QP that Python has to solve
 qp_open | | | 1 | | | number 1 to 4 of the problem that Python has to solve; 0 without one
-qp_x | | 4 n | | reduced | |
-    solutions by Python of the three QPs and of the hierarchy; NaN without a solution
+qp_x | | 4 n | | reduced | | Python's solutions of the three QPs and the hierarchy, or NaN
 qp_tried | | 4 | 1 | | | 1 for each of these problems that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP
 qp_fixed | | n_b | | reduced | | base's entries of q̈ before the QP; fixed in the arm's QP
 qp_rows | | | 1 | | | number of rows of the open QP in C, l, u and softness
 """
-"""A line for each quantity: name | symbol | shape | unit | frame | source | meaning."""
+"""A line for each quantity: name | symbol | shape | unit | frame | source | meaning.
+
+Below a heading "Memory of" a module: name | shape | unit | frame | meaning.
+"""
 
 
-def _read_table(text: str) -> tuple[Quantity, ...]:
-    lines = re.sub(r"\n\s+", " ", text).strip().splitlines()
-    rows = (line.split("|") for line in lines if not line.startswith("#"))
-    return tuple(Quantity(*(cell.strip() for cell in row)) for row in rows)
+def _read_table(text: str) -> Iterator[Quantity]:
+    module = ""
+    for line in re.sub(r"\n\s+", " ", text).strip().splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if len(cells) == 5:
+            cells = [cells[0], "", *cells[1:4], module, f"memory: {cells[4]}"]
+        if line.startswith("#"):
+            module = line.split()[-1]
+        else:
+            yield Quantity(*cells)
 
 
-QUANTITIES: tuple[Quantity, ...] = _read_table(_TABLE)
+QUANTITIES: tuple[Quantity, ...] = tuple(_read_table(_TABLE))
 """The rows of the table."""
 
 PINOCCHIO = {
@@ -307,7 +289,7 @@ _Values: Any = NamedTuple(  # type: ignore[misc]
     "_Values",
     [(each, Any) for each in (*PINOCCHIO, *(q.name for q in QUANTITIES))],  # pyright: ignore
 )
-STEP = struct_type(
+STEP = StructType(
     "_Values",
     PINOCCHIO | {q.name: types.Array(types.f8, len(q.shape.split()), "C") for q in QUANTITIES},
 )
@@ -337,19 +319,17 @@ class ControlStep:
         self.pinocchio: object = None
         """The owner of the memory of `PINOCCHIO`'s views; it must exist as long as the views."""
         self.n_b, self.n_mob = sizes["n_b"], sizes["n_mob"]
-        shapes = [
+        self._shapes = [
             [sizes[size] if size in sizes else int(size) for size in each.shape.split()]
             for each in QUANTITIES
         ]
-        ends = np.cumsum([0, *(math.prod(shape) for shape in shapes)]).tolist()
+        ends = np.cumsum([0, *map(math.prod, self._shapes)]).tolist()
         self.memory = np.zeros(ends[-1])
         """All quantities, one after the other: neighbours share cache lines."""
-        self.places: dict[str, range] = {}
+        names = (each.name for each in QUANTITIES)
+        self.places = dict(zip(names, map(range, ends, ends[1:]), strict=True))
         """Indices of the entries of each quantity in `memory`."""
-        for each, shape, own in zip(QUANTITIES, shapes, map(range, ends, ends[1:]), strict=False):
-            self.places[each.name] = own
-            setattr(self, each.name, self.memory[own.start : own.stop].reshape(shape))
-        self.__dict__.update(pinocchio)
+        self.__setstate__(pinocchio)
         values = _Values(**{name: getattr(self, name) for name in _Values._fields})
         self.struct = STEP.made_of(values)
         """The same memory for compiled functions."""
@@ -363,15 +343,15 @@ class ControlStep:
         return self.B[: self.n_b] * self.xdd_m
 
     def __getstate__(self) -> dict[str, Any]:
-        """All values, for `copy.deepcopy` and `pickle`; the copy has no struct."""
-        return vars(self) | {"struct": None, "pinocchio": None}
+        """The values for `copy.deepcopy` and `pickle`; the copy has no struct."""
+        own = {name: value for name, value in vars(self).items() if name not in self.places}
+        return own | {"struct": None, "pinocchio": None}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Use the values of `__getstate__`; the quantities are views of `memory` again."""
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Use the values of `state`, and make the quantities views of `memory`."""
         self.__dict__.update(state)
-        for name, own in self.places.items():
-            view = self.memory[own.start : own.stop].reshape(state[name].shape)
-            setattr(self, name, view)
+        for (name, own), shape in zip(self.places.items(), self._shapes, strict=True):
+            setattr(self, name, self.memory[own.start : own.stop].reshape(shape))
 
     def copy(self) -> Self:
         """A copy in separate memory, which no step overwrites."""

@@ -1,17 +1,16 @@
-"""The age and the plausibility of the readings, and the present state of the robot.
+"""Judge the readings, and estimate the present state of the robot from them.
 
-A step runs once in each control period, with or without a new reading. "Period" means the control
-period in this module. The Kalman filter estimates the state of the arm at the newest reading. The
-present state is predicted from this state over the age of the reading, with the known torques and
-the motion of the base. Thus repeated, lost, impossible and late readings are the same case. A time
-stamp of the readings shows their age, and the caller's clock the control period. Without them, both
-are estimated from the readings themselves. The module decides on four properties of the readings:
+A step runs once in each control period ("period" in this module), with or without a new reading. It
+first predicts the motion in the period by the known torques and the motion of the base. A usable
+new reading then corrects the state of the arm at the time of the reading (Kalman filter), and the
+present state is predicted from this state. Thus repeated, lost, impossible and late readings are
+the same case: a reading has an age. Time stamps show the age, and the caller's clock the period.
+Without them, both are estimated from the readings. The module decides on four properties:
 
-- **The lag**, their delay in periods. A delay that begins during a motion is the age at which the
-  predicted state equals the reading (`_match_lag`). Any other delay is the time until accelerations
-  due to the torques and the base appear in the measured positions (`_find_lag`).
-- **The period** is right if a joint's motion is the integral of its velocity over this time step
-  (`_find_period`).
+- **The lag**, the delay of the readings in periods. A delay that begins during a motion is the age
+  at which the predicted state equals the reading (`_match_lag`). Any other delay is the time until
+  accelerations due to the torques and the base appear in the measured positions (`_find_lag`).
+- **The period** is right if a joint's motion is the integral of its velocity (`_find_period`).
 - **The contradiction**. At each lag, the commanded torques explain the motion of a joint far above
   its speed limit worse than no torques do (`_weigh_lags`). Many successive jumps count too.
 - **The velocities** are not used if they exceed the speed limits by far, or do not match the
@@ -38,7 +37,7 @@ from app.control.estimate import (
     process_noise,
 )
 from app.control.inputs import GAINS, ROBOT
-from app.control.qp import backward, dot, fill, forward, put, put_rows, times
+from app.control.qp import dot, fill, put, put_rows, solved, times
 from app.control.quantities import STEP
 from app.strict import Array
 
@@ -78,19 +77,24 @@ HISTORY = 128
 """Largest age of a reading, in control periods, over which the motion can be predicted."""
 MAX_AGE = 0.1
 """[s] largest time without a new reading before the fallback command."""
+EARLY = 0.01
+"""[s] largest difference by which a time stamp can be later than the control step."""
+
+# Repetitions
 _GRAINS, _CLEARLY_FAR = 2.5, 10.0  # [-] smallest motions, relative to an encoder's resolution,
 # that change its reading, and that cause a report if the reading remains
 _EQUAL = 1e-9  # [rad or m] rounding error of this resolution
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
-_NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions' noise
+# The period and the clock
+_NOISES = 50.0  # [-] `_LEAST_WAY` as a multiple of the standard deviation of the positions' noise
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1, for a
 # stated period and for a measured one
 _RIGHT_BY_CLOCK = 1.05  # [-] the same for a control period that a clock shows
 _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and for a stated one
-EARLY = 0.01
-"""[s] largest difference by which a time stamp can be later than the control step."""
+_SMALLEST, _LARGEST = 0.125, 10.0  # [-] bounds of a plausible ratio; rpm instead of rad/s has 0.105
+_AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag
 _LATE_BY, _EARLY_BY = 0.9, 0.5  # [periods] largest delay of a step that is no missed period, and
 # largest lead of one that is no second step in the same period
@@ -99,7 +103,7 @@ _SPREAD = 0.75  # [-] standard deviations of the clock's intervals within which 
 _MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
 # periods, for a measurement of the period by the clock
 _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
-_AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
+# The lag, doubts about it, and contradictions
 _DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a speed limit and to the
 # control period, that does not cast doubt on the age of the readings
 _LATE = 0.024  # [s] additional age of the readings in case of doubt
@@ -114,19 +118,19 @@ _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
 _CONVINCING = 3.0  # [-] evidence that changes the lag
 _VIOLENT = 1.5  # [-] smallest speed, relative to its limit, of a joint that can contradict the
 # torques; friction and stiff contacts let slower joints move less than their torques
-_RECENTLY = 3  # [-] number of the newest groups in which a joint must be that fast
+_RECENTLY = 2  # [-] number of the newest steps from group to group, one of which must be that fast
 _CONTRADICTORY, _JUMPS = 8.0, 0.5  # [-] evidence at which the readings are no longer used, and the
 # evidence of one jump; a strong pull lets a light joint jump in some ten successive steps
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others
 _UNEXPECTED = 30.0  # [rad/s²] acceleration that a prediction over one period can miss
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
+# The base and the angles
 _FOLLOWS = 0.5  # [s] time constant of the comparison of the base with its drive's model
 _ASTRAY = 1.5  # [-] largest difference of the two, relative to the largest command
 _RECENT = 2.0  # [s] time constant of the comparison of the base's pose with its velocity
 _NEAR = 0.02  # [m or rad] difference of the two that is always plausible
-_SMALLEST, _LARGEST = 0.125, 10.0  # [-] bounds of a plausible ratio; rpm instead of rad/s has 0.105
-_NOISY = 0.05  # [rad] noise of a wrapped position at a joint limit
 _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then is compared
+_NOISY = 0.05  # [rad] noise of a wrapped position at a joint limit
 
 
 @compiled()
@@ -151,66 +155,59 @@ def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
 
 
 @compiled()
-def _alike(a: float, b: float) -> bool:
-    """Whether two numbers are equal, or both NaN."""
-    return a == b or (a != a and b != b)
-
-
-@compiled()
 def _same(a: Array, b: Array) -> bool:
     """Whether two arrays are equal; two entries that are NaN count as equal."""
     same = True
     for i in range(len(a)):
-        same = same and _alike(a[i], b[i])
+        same = same and (a[i] == b[i] or (a[i] != a[i] and b[i] != b[i]))
     return same
 
 
 @compiled()
-def _compare_joints(
-    w: Any, q: Array, qd: Array, stamp: float, dt: float
-) -> tuple[Array, float, Array]:
-    """Compare the readings q, qd (n_m,) of each joint with its last ones, which they can repeat.
+def _compare_joints(w: Any, read: Array, stamp: float, dt: float) -> tuple[Array, float, Array]:
+    """Compare the readings (2, n_m) of each joint with its last ones, which they can repeat.
 
     All readings with the last time stamp [s] are repetitions, and equal readings of a joint that
     moves; without a velocity, the motion must exceed the encoder's resolution. If no reading has
     changed, one repetition shows that all are repetitions; otherwise a joint's repetitions count up
     to 0.1 s. Without time stamps, a new reading that is farther away than a joint moves in two
-    control periods at its new velocity shows that the equal readings before it, at rest, were
-    repetitions too.
+    control periods at its new velocity shows that the equal readings before were repetitions too.
 
     Returns:
         (n_m,) whether each reading is a repetition; the number of such earlier repetitions of all
         joints; (n_m,) the further number of each single joint.
     """
-    n, alike, clear, farthest = len(q), True, False, 0.0
+    n, clear, farthest, stamped = read.shape[1], False, 0.0, not math.isnan(stamp)
     found, sure, equal = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    rested, waited, stamped = w.rested.min(), np.zeros(n), not math.isnan(stamp)
+    rested, waited = w.rested.min(), np.zeros(n)
     for i in range(n):
-        change, known = abs(q[i] - w.reading[0, i]), w.no_velocity[()] == 0.0 and qd[i] == qd[i]
-        equal[i] = change == 0.0 and _alike(qd[i], w.reading[1, i])
+        q, qd, grain = read[0, i], read[1, i], w.grain[i]
+        known, speed = w.no_velocity[()] == 0.0 and qd == qd, w.x_est[1, i]
+        equal[i] = _same(read[:, i], w.reading[:, i])
         if not equal[i]:
-            alike = False
-            _learn_grain(w, i, change)
-            speed = 0.0 if math.isnan(qd[i]) else abs(qd[i])
-            far = change - 2.0 * dt * speed > _STILL and not stamped
-            waited[i] = w.rested[i] if far else 0.0
-        elif not (known and qd[i] == 0.0):
-            waits, speed = w.age[()] + w.q_last[3, i] > 0.0, w.x_est[1, i]
-            way = abs(w.x_est[0, i] - w.lag[()] * dt * speed - q[i]) + dt * abs(speed)
-            farthest, far = max(farthest, way), 0.0 < _GRAINS * w.grain[i] < way
-            enough = max(_CLEARLY_FAR * w.grain[i], 0.0 if known else _LEAST_WAY)
-            clear = clear or (w.grain[i] > 0.0 and way > enough)
-            sure[i] = known or far or w.q_last[3, i] > 0.0
+            change = abs(q - w.reading[0, i])
+            grain = grain if grain > 0.0 else change  # a step of Euclid's algorithm: the new
+            rest = abs(change - grain * round(change / grain)) if grain > 0.0 else 0.0
+            w.grain[i] = rest if rest > _EQUAL else grain  # resolution divides the change
+            far = change - 2.0 * dt * (0.0 if math.isnan(qd) else abs(qd)) > _STILL
+            waited[i] = w.rested[i] if far and not stamped else 0.0
+        elif not (known and qd == 0.0):
+            waits = w.age[()] + w.q_last[3, i] > 0.0
+            way = abs(w.x_est[0, i] - w.lag[()] * dt * speed - q) + dt * abs(speed)
+            farthest = max(farthest, way)
+            enough = max(_CLEARLY_FAR * grain, 0.0 if known else _LEAST_WAY)
+            clear = clear or (grain > 0.0 and way > enough)
+            sure[i] = known or 0.0 < _GRAINS * grain < way or w.q_last[3, i] > 0.0
             moves = dt * abs(speed) > _STILL and (sure[i] or w.interval[()] > 1.0)
             found[i] = waits or moves
     ends = (w.q_last[3].max() + w.age[()] + 1.0) * dt > MAX_AGE
     if stamp == w.stamp[()]:
         found[:], clear = True, True
-    elif alike and not stamped:
+    elif equal.all() and not stamped:
         fill(found, bool(found.any()) and not (ends and farthest < _LEAST_WAY))
     else:
         found &= sure & (not ends)
-    w.faults[REPEATED] = 1.0 if clear and found.any() else 0.0
+    w.faults[REPEATED] = clear and found.any()
     rested = rested if waited.any() else 0.0
     for i in range(n):
         waited[i] = waited[i] - rested if 0.0 < (waited[i] - rested) * dt <= MAX_AGE else 0.0
@@ -218,14 +215,6 @@ def _compare_joints(
             at_rest = equal[i] and not (found[i] or stamped)
             w.rested[i] = w.rested[i] + 1.0 if at_rest else 0.0
     return found, rested, waited
-
-
-@compiled()
-def _learn_grain(w: Any, i: int, change: float) -> None:
-    """Correct the resolution of joint i by one step of Euclid's algorithm: it divides a change."""
-    grain = w.grain[i] if w.grain[i] > 0.0 else change
-    rest = abs(change - grain * round(change / grain)) if grain > 0.0 else 0.0
-    w.grain[i] = rest if rest > _EQUAL else grain
 
 
 @compiled()
@@ -259,42 +248,42 @@ def _recall(w: Any, ago: int, count: int) -> Array:
 
 
 @compiled()
-def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool) -> None:
-    """Store the accelerations of arm (predicted) and base in the period that has just ended."""
-    if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
-        w.known[()] = 0.0  # a gap
-        return
-    late = w.lag[()] != 0.0 or w.base_late[()] != 0.0 or w.base_lost[()] != 0.0
-    measured = fresh and not late and w.elapsed[()] == gains.dt
-    a_base = (base_velocity - w.v_last) / gains.dt if measured else w.a_base_meas
-    qdd_b = times(robot.J_m_inv, a_base)
-    w.periods[()] = (w.periods[()] + 1.0) % HISTORY
-    w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
-    put(w.base_history[int(w.periods[()])], a_base)
-    row = w.history[int(w.periods[()])]
-    put(row, predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, qdd_b))
+def _store(w: Any, qdd: Array, a_base: Array) -> None:
+    """Store the accelerations of arm (n_m,) and base (n_b,) in one more period."""
+    row = (int(w.periods[()]) + 1) % HISTORY
+    w.periods[()], w.known[()] = row, min(w.known[()] + 1.0, 1.0 * HISTORY)
+    put(w.history[row], qdd)
+    put(w.base_history[row], a_base)
 
 
 @compiled()
-def _catch_up(w: Any, missed: float, dt: float) -> None:
-    """Predict the motion by the last commands in the `missed` periods; `HISTORY` or more are a gap.
+def _predict(robot: Any, gains: Any, w: Any, velocity: Array, fresh: bool, missed: float) -> None:
+    """Predict the arm's motion in the period that has just ended, and in the `missed` ones after.
 
-    The law has used no velocity in these periods; `w.qd_used` gets the predicted ones.
+    In missed periods the accelerations remain, and the law has used no velocity: `w.qd_used` gets
+    the predicted ones. There is a gap if the last torques or the last velocity of the base are
+    unknown, or with `HISTORY` or more missed periods; -1 stands for a second step in a period.
     """
+    if missed >= 0.0:
+        if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
+            w.known[()] = 0.0
+        else:
+            late = w.lag[()] != 0.0 or w.base_late[()] != 0.0 or w.base_lost[()] != 0.0
+            measured = fresh and not late and w.elapsed[()] == gains.dt
+            a_base = (velocity - w.v_last) / gains.dt if measured else w.a_base_meas
+            qdd_b = times(robot.J_m_inv, a_base)
+            _store(w, predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, qdd_b), a_base)
+        advance(w.x_est, _recall(w, 0, 1), gains.dt)
     if missed >= HISTORY:
         w.known[()] = 0.0
         fill(w.v_last, math.nan)
-    if missed <= 0.0 or w.known[()] == 0.0:
-        return
-    for _ in range(int(missed)):
-        row = int(w.periods[()])
-        put(w.qd_used[row], w.x_est[1])
-        w.periods[()] = (w.periods[()] + 1.0) % HISTORY
-        w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
-        put(w.history[int(w.periods[()])], w.history[row])
-        put(w.base_history[int(w.periods[()])], w.base_history[row])
-        advance(w.x_est, _recall(w, 0, 1), dt)
-    w.blind_time[()] = max(w.blind_time[()], w.elapsed[()])
+    elif missed > 0.0 and w.known[()] > 0.0:
+        for _ in range(int(missed)):
+            row = int(w.periods[()])
+            put(w.qd_used[row], w.x_est[1])
+            _store(w, w.history[row], w.base_history[row])
+            advance(w.x_est, _recall(w, 0, 1), gains.dt)
+        w.blind_time[()] = max(w.blind_time[()], w.elapsed[()])
 
 
 @compiled()
@@ -303,11 +292,9 @@ def _explained(w: Any, dt: float, count: int) -> Array:
     n_m = w.history.shape[1]
     found, speed, way = np.zeros((n_m, count)), np.zeros(n_m), np.zeros(n_m)
     for k in range(count - 2, -1, -1):
-        row = w.history[(int(w.periods[()]) - k) % HISTORY]
-        for i in range(n_m):
-            speed[i] += dt * row[i]
-            way[i] += dt * speed[i]
-            found[i, k] = way[i]
+        speed += dt * w.history[(int(w.periods[()]) - k) % HISTORY]
+        way += dt * speed
+        put(found[:, k], way)
     return found
 
 
@@ -332,8 +319,7 @@ def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
     `age` + 1 periods have passed since the last reading.
     """
     ages = w.group_age
-    for k in range(len(ages)):
-        ages[k] += age + 1.0
+    ages += age + 1.0
     if ages[0] >= 0.5 * (_GROUP + 1.0):
         _weigh_lags(robot, w, gains)
         for k in range(len(ages) - 1, 0, -1):
@@ -343,8 +329,7 @@ def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
     w.group_size[()] += 1.0
     share = 1.0 / w.group_size[()]
     ages[0] *= 1.0 - share
-    for i in range(len(q)):
-        w.group[0, i] += share * (q[i] - w.group[0, i])
+    put(w.group[0], w.group[0] + share * (q - w.group[0]))
 
 
 @compiled()
@@ -358,49 +343,16 @@ def _residuals(q: Array, ways: Array, ages: Array, basis: Array, lags: int) -> A
     found, fitted, rest = np.zeros(lags + 1), np.zeros((len(basis), lags + 1)), np.empty(lags + 1)
     for k in range(len(q)):
         age, moved = int(ages[k]), q[k] - q[0]
-        share, way, earlier = ages[k] - age, ways[age:], ways[age + 1 :]
+        share = ages[k] - age
         for lag in range(lags):
-            rest[lag] = moved - (1.0 - share) * way[lag] - share * earlier[lag]
+            rest[lag] = moved - (1.0 - share) * ways[age + lag] - share * ways[age + 1 + lag]
         rest[lags] = moved
         for lag in range(lags + 1):
             found[lag] += rest[lag] * rest[lag]
-        for j in range(len(basis)):
-            weight, row = basis[j, k], fitted[j]
-            for lag in range(lags + 1):
-                row[lag] += weight * rest[lag]
+            for j in range(len(basis)):
+                fitted[j, lag] += basis[j, k] * rest[lag]
     for j in range(len(basis)):
-        row = fitted[j]
-        for lag in range(lags + 1):
-            found[lag] -= row[lag] * row[lag]
-    return found
-
-
-@compiled()
-def _error_of_friction(robot: Any, w: Any, n: int, dt: float) -> Array:
-    """(n_m,) [rad] error of the motion predicted for n groups where joints turn back.
-
-    Dry friction changes there at once; the polynomial for external forces does not describe this.
-    """
-    found, torque = np.zeros(len(w.q_m)), np.zeros(len(w.q_m))
-    for i in range(len(w.q_m)):
-        low = high = 0.0
-        for k in range(n - 1):
-            way = w.group[k, i] - w.group[k + 1, i]
-            low, high = min(low, way), max(high, way)
-        if min(high, -low) > 3.0 * math.sqrt(w.noise_var[0, i]) + _EXACT:
-            torque[i] = _REVERSAL * _DRY_FRICTION * robot.tau_max[i]
-            found += np.abs(backward(w.L_aa, forward(w.L_aa, torque)))
-            torque[i] = 0.0
-    return found * (w.group_age[n - 1] * dt) ** 2
-
-
-@compiled()
-def _fastest(w: Any, i: int, n: int, dt: float) -> float:
-    """[rad/s or m/s] largest mean speed of joint i from one of the newest n groups to the next."""
-    found = 0.0
-    for k in range(n - 1):
-        time = dt * (w.group_age[k + 1] - w.group_age[k])
-        found = max(found, abs(w.group[k, i] - w.group[k + 1, i]) / time)
+        found -= fitted[j] * fitted[j]
     return found
 
 
@@ -410,9 +362,9 @@ def _compare_lags(
 ) -> tuple[Array, Array, float, float]:
     """Compare the possible lags by the newest n groups; dt [s] is the control period.
 
-    A lag predicts the motion, up to a polynomial of time for the motion by external forces. The
-    noise of each joint is unknown. "The present" is the better one of the present lag and of no
-    prediction.
+    A lag predicts the motion, up to a polynomial of time for the motion by external forces, and up
+    to an error by dry friction. The noise of each joint is unknown. "The present" is the better one
+    of the present lag and of no prediction.
 
     Returns:
         (lags,) logarithm of the likelihood ratio of each lag to the present. (lags,) [rad²] sum of
@@ -420,19 +372,27 @@ def _compare_lags(
         the present. For the joints that have just been faster than `_VIOLENT` times their speed
         limit, the logarithm of the likelihood ratio of no prediction to the best lag.
     """
-    lags, present = len(w.evidence), int(w.lag[()])
-    basis = _polynomials(w.group_age[:n], 4 if n >= _CUBIC else 3)
+    lags, present, ages = len(w.evidence), int(w.lag[()]), w.group_age
+    basis = _polynomials(ages[:n], 4 if n >= _CUBIC else 3)
     ratios, totals, worse = np.ones(lags), np.zeros(lags + 1), np.ones(lags)
-    friction = _error_of_friction(robot, w, n, dt)
+    steps, friction = w.group[: n - 1] - w.group[1:n], np.zeros(len(ways))
+    for i in range(len(ways)):  # dry friction changes at once where a joint turns back
+        torque, turned = np.zeros(len(ways)), min(steps[:, i].max(), -steps[:, i].min())
+        if turned > 3.0 * math.sqrt(w.noise_var[0, i]) + _EXACT:
+            torque[i] = _REVERSAL * _DRY_FRICTION * robot.tau_max[i]
+            friction += np.abs(solved(w.L_aa, torque))
+    friction *= (ages[n - 1] * dt) ** 2
     for i in range(len(ways)):
         error = min(w.noise_var[0, i], _MOST_NOISE**2) / w.group_size[()] + _EXACT**2
         error += friction[i] ** 2
-        residuals = _residuals(w.group[:n, i], ways[i], w.group_age, basis, lags)
+        residuals = _residuals(w.group[:n, i], ways[i], ages, basis, lags)
         for lag in range(lags + 1):
             residuals[lag] = max(residuals[lag], 0.0) + (n - len(basis)) * error
             totals[lag] += residuals[lag]
-        least = min(residuals[present], residuals[lags])
-        violent = _fastest(w, i, _RECENTLY, dt) > _VIOLENT * robot.qd_max[i]
+        least, violent = min(residuals[present], residuals[lags]), False
+        for k in range(_RECENTLY):
+            speed = abs(steps[k, i]) / (dt * (ages[k + 1] - ages[k]))
+            violent = violent or speed > _VIOLENT * robot.qd_max[i]
         for lag in range(lags):
             ratios[lag] *= least / residuals[lag]
             worse[lag] *= residuals[lag] / residuals[lags] if violent else 1.0
@@ -503,10 +463,11 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         return
     corrected = w.corrected[()] != 0.0
     right, precisely = (_MEASURED_RIGHT, _PRECISELY) if corrected else (_RIGHT, 1.0)
-    far, most, w.since[()] = -1, 1.0, w.since[()] + 1.0
-    w.travel_time[()] += steps * gains.dt
+    far, most, time = -1, 1.0, steps * gains.dt
+    w.since[()] += 1.0
+    w.travel_time[()] += time
     for i in range(len(q)):
-        w.travel[1, i] += steps * gains.dt * 0.5 * (w.reading[1, i] + qd[i])
+        w.travel[1, i] += time * 0.5 * (w.reading[1, i] + qd[i])
         if w.q_last[3, i] > 0.0:  # its readings are older
             w.travel[0, i], w.travel[1, i], w.travel[2, i] = q[i], 0.0, qd[i]
         way = precisely * max(_LEAST_WAY, _NOISES * math.sqrt(w.noise_var[0, i]))
@@ -516,18 +477,17 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     if far < 0 or w.since[()] < 4.0:
         return
     way, integral = q[far] - w.travel[0, far], w.travel[1, far]
-    change = qd[far] - w.travel[2, far]
-    later = integral + (_FILTER + 0.5 * steps * gains.dt) * change
+    later = integral + (_FILTER + 0.5 * time) * (qd[far] - w.travel[2, far])
     ratio = way / integral if integral != 0.0 else math.inf
     late = way / later if later != 0.0 else math.inf
     low, high = min(ratio, late), max(ratio, late)
     unclear = low < 0.0 < high  # the readings show neither a right nor a wrong ratio
     if unclear or (low < right and high > 1.0 / right):
         found = 1.0
+    elif low > 0.0 and high < math.inf:
+        found = math.sqrt(low * high)
     else:
         found = low if low > 1.0 else high
-        if low > 0.0 and high < math.inf:
-            found = math.sqrt(low * high)
     by_clock = w.clock_ratio[()] == 1.0  # then the velocities are wrong, not the period
     plausible = _SMALLEST < found < _LARGEST  # not NaN
     if not unclear and (found == 1.0 or not (by_clock and plausible)):
@@ -535,10 +495,9 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     if w.no_velocity[()] != 0.0 or found == 1.0:
         found, w.agreed[()] = 1.0, 0.0
     else:
-        agrees = abs(found - w.ratio[()]) < 0.15 * found
-        time = w.travel_time[()] * (1.0 if by_clock else found)
-        w.agreed[()] = w.agreed[()] + time if agrees else 0.0
-        if w.agreed[()] >= max(_AGREED, 1.5 * time):
+        lasts = w.travel_time[()] * (1.0 if by_clock else found)
+        w.agreed[()] = w.agreed[()] + lasts if abs(found - w.ratio[()]) < 0.15 * found else 0.0
+        if w.agreed[()] >= max(_AGREED, 1.5 * lasts):
             if by_clock:
                 w.no_velocity[()] = 1.0
             elif w.clock_ratio[()] == 0.0:
@@ -577,79 +536,40 @@ def _watch_clock(w: Any, now: float, dt: float) -> float:
     """Compare the control period dt [s] with the caller's clock `now` [s]; NaN without one.
 
     A step after missed periods sets the fault `stall` if the clock has confirmed the period, or
-    after a pause of more than 0.1 s. Returns the number of missed periods.
+    after a pause of more than 0.1 s. A measurement of `w.clock_ratio`, the true control period
+    relative to dt, is the mean interval in periods dt. It counts as 1 if it differs from 1 by less
+    than 5 % or 0.75 standard deviations of the intervals: stalls and jitter do not show a wrong
+    period. Two successive ratios other than 1 that agree set the fault `period`. The result is the
+    number of missed periods.
     """
-    interval, steps = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()]
+    interval, steps, span = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()], w.clock_span
     periods, w.clock_ahead[()] = count_periods(w, now, dt)
     w.clock[()], w.clock_rest[()] = now, steps if interval == 0.0 else 0.0
-    late = periods > 1.0 and (w.clock_ratio[()] == 1.0 or periods == math.inf)
-    w.faults[STALL] = 1.0 if late else 0.0
+    w.faults[STALL] = periods > 1.0 and (w.clock_ratio[()] == 1.0 or periods == math.inf)
     if not (interval >= 0.0 and periods < math.inf):  # NaN too
-        fill(w.clock_span, 0.0)
+        fill(span, 0.0)
         w.clock_ratio[()] = 0.0 if math.isnan(now) else w.clock_ratio[()]
     elif interval > 0.0:
-        w.clock_span[0] += steps
-        w.clock_span[1] += interval
-        w.clock_span[2] += interval**2 / steps
-        if w.clock_span[1] * dt >= _MEASURED and w.clock_span[0] >= _FEWEST_PERIODS:
-            _measure_period(w)
+        span[0] += steps
+        span[1] += interval
+        span[2] += interval**2 / steps
+        if span[1] * dt >= _MEASURED and span[0] >= _FEWEST_PERIODS:
+            mean = span[1] / span[0]
+            deviation = math.sqrt(max(span[2] / span[0] - mean**2, 0.0))
+            if abs(mean - 1.0) < max(_RIGHT_BY_CLOCK - 1.0, _SPREAD * deviation):
+                mean = 1.0
+            elif abs(mean - w.clock_ratio[()]) < _ALIKE_PERIODS * mean:
+                w.faults[PERIOD] = 1.0
+            w.clock_ratio[()] = mean
+            fill(span, 0.0)
     return periods - 1.0
-
-
-@compiled()
-def _measure_period(w: Any) -> None:
-    """Measure the ratio `w.clock_ratio` of the true control period to dt, by the clock.
-
-    The ratio is the mean interval in periods dt, or 1 if the mean differs from 1 by less than 5 %
-    or 0.75 standard deviations of the intervals: stalls and jitter do not show a wrong period. Two
-    successive ratios that differ from 1, and agree, set the fault `period`.
-    """
-    number, total, squares = w.clock_span
-    mean = total / number
-    deviation = math.sqrt(max(squares / number - mean**2, 0.0))
-    if abs(mean - 1.0) < max(_RIGHT_BY_CLOCK - 1.0, _SPREAD * deviation):
-        mean = 1.0
-    elif abs(mean - w.clock_ratio[()]) < _ALIKE_PERIODS * mean:
-        w.faults[PERIOD] = 1.0
-    w.clock_ratio[()] = mean
-    fill(w.clock_span, 0.0)
-
-
-@compiled()
-def _is_too_old(w: Any, age: float, dt: float) -> bool:
-    """Whether an age [s] by a time stamp, or NaN, is clearly negative or too long for a prediction.
-
-    The first sets the fault `invalid`, because the clocks differ, the second the fault `lag`.
-    """
-    future, old = age < -EARLY, age > min(MAX_AGE, (HISTORY - 1) * dt)
-    w.faults[INVALID] = 1.0 if future else w.faults[INVALID]
-    w.faults[LAG] = 1.0 if old else w.faults[LAG]
-    return future or old
-
-
-@compiled()
-def _use_stamp(w: Any, age: float, dt: float, first: bool) -> bool:
-    """Set `w.lag` to the age [s] of a new reading plus the delay that time stamps do not show.
-
-    A difference below 0.9 periods does not change the lag: jitter of the clock must not change the
-    number of periods between two readings. `w.age` follows, except at the `first` reading. Returns
-    whether the reading is older than the last one; `w.age` is then negative.
-    """
-    lag, periods = w.lag[()], age / dt + w.hidden_lag[()]
-    if first or abs(periods - lag) > _JITTER:
-        lag = 1.0 * max(round(periods), 0)
-    if not first:
-        w.age[()] += w.lag[()] - lag
-    w.lag[()] = lag
-    return w.age[()] < 0.0
 
 
 @compiled()
 def _forget_groups(w: Any) -> None:
     """Forget all groups of readings, and the evidence for lags: the groups' ages are unknown."""
     fill(w.evidence, 0.0)
-    for k in range(len(w.group_age)):
-        w.group_age[k] = HISTORY * (k + 1.0)
+    put(w.group_age, HISTORY * np.arange(1.0, len(w.group_age) + 1.0))
 
 
 @compiled()
@@ -675,13 +595,14 @@ def _motion(robot: Any, heading: float, velocity: Array, time: float) -> Array:
     return time * np.array([x, y, twist[2]])
 
 
-_READING = types.Array(types.f8, 1, "A")
+READING = types.Array(types.f8, 1, "A")
+"""The type of a reading's array, for signatures of compiled functions."""
 
 
 @compiled(
     Signature(
         types.UniTuple(types.f8[::1], 2),
-        (ROBOT.type, GAINS.type, STEP.type, _READING, _READING, types.f8),
+        (ROBOT.type, GAINS.type, STEP.type, READING, READING, types.f8),
         None,
     )
 )
@@ -697,9 +618,7 @@ def later_base(
     w.base_late[()] = 1.0
     if not age <= _SELDOM:
         return np.full(3, math.nan), np.full(len(velocity), math.nan)
-    x, v, dt = pose.copy(), velocity.copy(), gains.dt
-    for i in range(len(v)):
-        v[i] = w.base_velocity[i] if math.isnan(v[i]) else v[i]
+    x, v, dt = pose.copy(), np.where(np.isnan(velocity), w.base_velocity, velocity), gains.dt
     known, newest = int(max(min(round(age / dt), w.known[()]), 0.0)), int(w.periods[()])
     time = age - known * dt
     for k in range(known, -1, -1):  # k further periods
@@ -728,8 +647,8 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
     plus half of the path, also if no new reading has come for `_SELDOM`.
     """
     moved, decay = _motion(robot, w.pose_last[2], w.base_velocity, time), math.exp(-time / _RECENT)
-    w.pose_last += moved
-    w.pose_moved += moved
+    put(w.pose_last, w.pose_last + moved)
+    put(w.pose_moved, w.pose_moved + moved)
     put(w.pose_error, decay * (w.pose_error - moved))
     w.pose_way[0] = decay * (w.pose_way[0] + math.hypot(moved[0], moved[1]))
     w.pose_way[1] = decay * (w.pose_way[1] + abs(moved[2]))
@@ -743,7 +662,7 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
         jump[2] = (jump[2] + math.pi) % (2.0 * math.pi) - math.pi
         way, turn = math.hypot(w.pose_moved[0], w.pose_moved[1]), abs(w.pose_moved[2])
         jumped, compared = _differs(jump, way, turn), True
-        w.pose_error += jump + w.pose_moved
+        put(w.pose_error, w.pose_error + (jump + w.pose_moved))
         fill(w.pose_moved, 0.0)
         w.pose_age[()] = 0.0
         put(w.pose_jump, jump)
@@ -763,8 +682,7 @@ def _take_base(
     """
     time = w.elapsed[()]
     begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
-    if not fresh:
-        put(pose, w.pose_read)
+    pose = pose if fresh else w.pose_read
     moved = math.isfinite(pose.sum()) and (first or not _same(pose, w.pose_read))
     if begins or (moved and math.isinf(w.pose_way[0])):
         if moved:
@@ -776,12 +694,9 @@ def _take_base(
     else:
         _take_pose(robot, w, pose, time)
     if not math.isnan(w.v_last[0]):
-        decay = math.exp(-time / _FOLLOWS)
-        for i in range(robot.n_b):
-            explained = time * w.a_base_meas[i]
-            w.astray[i] = decay * (w.astray[i] + velocity[i] - w.v_last[i] - explained)
-            if abs(w.astray[i]) > _ASTRAY * gains.largest_command[i]:
-                w.faults[BASE] = 1.0
+        astray = w.astray + velocity - w.v_last - time * w.a_base_meas
+        put(w.astray, math.exp(-time / _FOLLOWS) * astray)
+        w.faults[BASE] = np.any(np.abs(w.astray) > _ASTRAY * gains.largest_command)
     put(w.v_last, velocity)
     put(w.base_velocity, velocity)
     w.base_late[()], w.base_lost[()] = 0.0, 0.0 if fresh else 1.0
@@ -797,52 +712,45 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
     w.known[()] = w.unstated[()] = 0.0
     fill(w.v_last, math.nan)
     if not (math.isnan(w.q_posture[0]) or math.isnan(w.u_a[0])):
-        known = np.empty((1, len(w.q_m)))
         at_rest = np.zeros(robot.n_b)
-        put(known[0], predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, at_rest))
-        advance(w.x_est, known, gains.dt)
-        decay = math.exp(-gains.dt / gains.noise_window)  # an external force does not stay constant
-        for i in range(len(w.q_m)):
-            w.x_est[2, i] *= decay
+        qdd = predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, at_rest)
+        advance(w.x_est, qdd.reshape((1, len(qdd))), gains.dt)
+        # An external force does not stay constant.
+        put(w.x_est[2], math.exp(-gains.dt / gains.noise_window) * w.x_est[2])
         if w.faults[CONTRADICTORY] != 0.0:  # wrong speeds; their damping could accelerate the arm
             fill(w.x_est[1], 0.0)
         put(w.qd[robot.n_b :], w.x_est[1])
 
 
 @compiled()
-def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> bool:
-    """Change the lag if a different one explains a new reading q, qd (n_m,) far better.
+def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> None:
+    """Change lag and age if a different lag explains a new reading q, qd (n_m,) far better.
 
     The positions are compared with those predicted for the last control periods. The velocities
     must agree too: a robot that stops is no delay. The lag changes only after `FEWEST` samples of
-    the noise and with a `w.ratio` of 1. Returns whether the reading is older than the last one;
-    `w.age` is then negative.
+    the noise and with a `w.ratio` of 1.
     """
-    count, lag = int(min(w.known[()], _MOST_LAG + 1.0)), int(w.lag[()])
+    count, lag, dt = int(min(w.known[()], _MOST_LAG + 1.0)), int(w.lag[()]), gains.dt
     if w.samples[()] < FEWEST or lag >= count or w.ratio[()] != 1.0:
-        return w.age[()] < 0.0
-    time, unexpected = w.age[()] * gains.dt, _UNEXPECTED * gains.dt**2
+        return
     x, errors, alike = w.x_est.copy(), np.zeros(count), np.zeros(count, np.bool_)
+    more = w.q_last[3] + np.minimum(w.rested, MAX_AGE / dt)  # periods without a reading
+    missed = _UNEXPECTED * dt**2 * ((1.0 + more) * (1.0 + more))
+    used = w.age[()] * dt * w.v_error
+    variance = w.noise_var[0] + missed * missed + used * used
     for k in range(count):
-        difference = speed = 0.0
-        for i in range(len(q)):
-            more = w.q_last[3, i] + min(w.rested[i], MAX_AGE / gains.dt)  # without a reading
-            missed = unexpected * (1.0 + more) ** 2
-            variance = w.noise_var[0, i] + missed**2 + (time * w.v_error[i]) ** 2
-            errors[k] += (q[i] - x[0, i]) ** 2 / variance
-            difference += (qd[i] - x[1, i]) ** 2
-            speed += x[1, i] ** 2
-            x[0, i] -= gains.dt * x[1, i]
-            x[1, i] -= gains.dt * (w.history[(int(w.periods[()]) - k) % HISTORY, i] + x[2, i])
-        alike[k] = difference < _ALIKE * speed
+        off, turned = q - x[0], qd - x[1]
+        errors[k] = (off * off / variance).sum()
+        alike[k] = dot(turned, turned) < _ALIKE * dot(x[1], x[1])
         if k == lag and errors[k] < _CLEARLY**2 * len(q):
-            return w.age[()] < 0.0
+            return
+        x[0] -= dt * x[1]
+        x[1] -= dt * (w.history[(int(w.periods[()]) - k) % HISTORY] + x[2])
     best = int(np.argmin(errors))
     if alike[best] and errors[lag] > _CLEARLY**2 * (errors[best] + len(q)):
         w.lag[()] = best
         w.age[()] += lag - best
         fill(w.evidence, 0.0)
-    return w.age[()] < 0.0
 
 
 @compiled()
@@ -892,59 +800,47 @@ def _checked_positions(
     Clears the faults of the last step, and sets `invalid` and `implausible`.
     """
     fill(w.faults, 0.0)
-    q, lost = q_m.copy(), not math.isfinite(q_m.sum() + drive.sum())
-    w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
-    if not lost:
-        q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
-        low, high = robot.q_limits
-        half = 0.5 * (high - low)
-        lost = bool(np.any((q < low - half) | (q > high + half)))
-        w.faults[IMPLAUSIBLE] = 1.0 if lost else 0.0
+    if not math.isfinite(q_m.sum() + drive.sum()):
+        w.faults[INVALID] = 1.0
+        return q_m.copy(), True
+    w.faults[INVALID] = not math.isfinite(base_pose.sum())
+    q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
+    low, high = robot.q_limits
+    half = 0.5 * (high - low)
+    lost = bool(np.any((q < low - half) | (q > high + half)))
+    w.faults[IMPLAUSIBLE] = lost
     return q, lost
 
 
 @compiled()
-def _remains_valid(w: Any, lost: bool, first: bool, dt: float) -> bool:
-    """Update the faults `stale` and `contradictory` and `w.valid`; returns `w.valid` as a bool."""
-    w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * dt > MAX_AGE else 0.0
-    w.faults[CONTRADICTORY] = 1.0 if w.contradiction[()] > _CONTRADICTORY else 0.0
-    unusable = w.faults[STALE] != 0.0 or w.faults[CONTRADICTORY] != 0.0
-    w.valid[()] = not (unusable or (lost and first))
-    return w.valid[()] != 0.0
-
-
-@compiled()
 def take_readings(
-    robot: Any,
-    gains: Any,
-    w: Any,
-    base_pose: Array,
-    base_velocity: Array,
-    q_m: Array,
-    qd_m: Array,
-    drive: Array,
-    now: float,
-    time: float,
+    robot: Any, gains: Any, w: Any, readings: tuple[Array, ...], now: float, time: float
 ) -> None:
     """Check the readings, and estimate the present state of the robot (Algorithm 2, line 2).
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, after 0.1 s without one, and from the fault `contradictory` until
-    `reset`. The arguments after `w`, a `STEP`, are the fields of a `Measurement` but `base_time`.
+    `reset`. `readings` are the first five fields of a `Measurement`, `now` and `time` [s] others.
     """
     _use_stated_lag(gains, w)
-    first, qd, v, stamped = math.isnan(w.q_posture[0]), qd_m.copy(), base_velocity, time == time
+    base_pose, v, q_m, qd_m, drive = readings
+    first, stamped, age, older = math.isnan(w.q_posture[0]), time == time, now - time, False
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
-    missed = _watch_clock(w, now, gains.dt)
+    read, shown, missed = np.stack((q, qd_m)), np.stack((q, qd_m)), _watch_clock(w, now, gains.dt)
     before, w.elapsed[()] = w.elapsed[()], (1.0 + missed if missed < HISTORY else 1.0) * gains.dt
-    age, older = now - time, False
     old, rested, waited = np.zeros(len(q), np.bool_), 0.0, np.zeros(len(q))
     if not (lost or first):
-        old, rested, waited = _compare_joints(w, q, qd, time, gains.dt)
+        old, rested, waited = _compare_joints(w, read, time, gains.dt)
     w.age[()] += 0.0 if first else min(missed, 1.0 * HISTORY)
-    not_new = bool(old.all()) or _is_too_old(w, age, gains.dt)
+    changed, oldest = not old.all(), min(MAX_AGE, (HISTORY - 1) * gains.dt)
+    future, too_old = changed and age < -EARLY, changed and age > oldest  # not NaN
+    w.faults[INVALID], w.faults[LAG] = max(w.faults[INVALID], 1.0 * future), too_old
+    not_new = future or too_old or not changed
     lost = lost or not_new
-    if not _remains_valid(w, lost, first, gains.dt):
+    w.faults[STALE] = lost and (w.age[()] + 1.0) * gains.dt > MAX_AGE
+    w.faults[CONTRADICTORY] = w.contradiction[()] > _CONTRADICTORY
+    w.valid[()] = w.faults[STALE] == w.faults[CONTRADICTORY] == 0.0 and not (lost and first)
+    if w.valid[()] == 0.0:
         _advance_blind(robot, gains, w)
         return
     # Without a time stamp of its own, the base's reading is as old as that of the joints.
@@ -952,101 +848,100 @@ def take_readings(
     moves = bool(np.any(v != 0.0))  # NaN too
     base_new = base_new and not (moves and _same(base_pose, w.pose_read) and _same(v, w.v_read))
     velocity = _usable_velocity(robot, w, v, base_new, first)
-    if missed >= 0.0:
-        _remember(robot, gains, w, velocity, base_new)
-        advance(w.x_est, _recall(w, 0, 1), gains.dt)
-    _catch_up(w, missed, gains.dt)
-    shown = np.stack((q, qd))
+    _predict(robot, gains, w, velocity, base_new, missed)
     if not lost:
-        older = _is_older(gains, w, q, qd, old, age, first)
+        older = _is_older(gains, w, read, old, age, first)
         if older:
             base_new, velocity = False, _usable_velocity(robot, w, v, False, first)
-    _take_base(robot, gains, w, base_pose.copy(), velocity, base_new, first)
+    _take_base(robot, gains, w, base_pose, velocity, base_new, first)
     if lost or older:
         w.age[()] += 1.0
     else:
-        _take_new(robot, gains, w, q, qd, old, rested, waited)
+        _take_new(robot, gains, w, read, old, rested, waited)
     if not lost:
         w.stamp[()] = time
         put_rows(w.reading, shown)
-    w.faults[LAG] = 1.0 if w.lag[()] > w.stated_lag[()] else w.faults[LAG]
+    w.faults[LAG] = max(w.faults[LAG], 1.0 * (w.lag[()] > w.stated_lag[()]))
     estimate_load(gains, w, before, w.faults[JUMP] != 0.0)
-    w.faults[LOAD] = 1.0 if w.unstated[()] != 0.0 else 0.0
+    w.faults[LOAD] = w.unstated[()] != 0.0
     _use_estimate(robot, gains, w)
 
 
 @compiled()
-def _is_older(gains: Any, w: Any, q: Array, qd: Array, old: Array, age: float, first: bool) -> bool:
+def _is_older(gains: Any, w: Any, read: Array, old: Array, age: float, first: bool) -> bool:
     """Whether new readings are older than the last ones; predictions replace those of `old` joints.
 
-    The `age` by the time stamp is in seconds, or NaN. A reading can be later by a part of a period
-    than the counted periods and the lag assume. The motion in the smaller part that clock and time
-    stamp show is subtracted from the positions; it is 0 if they contradict each other.
+    The `age` by the time stamp is in seconds, or NaN. It sets the lag, together with the delay that
+    time stamps do not show. A difference below 0.9 periods does not change the lag: jitter of the
+    clock must not change the number of periods between two readings. A reading can be later by a
+    part of a period than the counted periods and the lag assume. The motion in the smaller part
+    that clock and time stamp show is subtracted from the positions; it is 0 if they contradict each
+    other. `read` (2, n_m) are the positions and velocities.
     """
-    stamped, later = not math.isnan(age), 0.0
-    older = stamped and _use_stamp(w, age, gains.dt, first)
+    stamped, later, dt = not math.isnan(age), 0.0, gains.dt
     if stamped:
+        lag, periods = w.lag[()], age / dt + w.hidden_lag[()]
+        if first or abs(periods - lag) > _JITTER:
+            lag = 1.0 * max(round(periods), 0)
+        if not first:
+            w.age[()] += w.lag[()] - lag
+        w.lag[()] = lag
         by_clock = w.clock_ahead[()]
-        by_stamp = by_clock + w.lag[()] - w.hidden_lag[()] - age / gains.dt
+        by_stamp = by_clock + lag - w.hidden_lag[()] - age / dt
         later = max(min(by_clock, by_stamp), 0.0) + min(max(by_clock, by_stamp), 0.0)
-    for i in range(len(q)):
-        q[i] -= later * gains.dt * w.x_est[1, i]
-        if old[i]:
-            q[i] = w.x_est[0, i] - w.lag[()] * gains.dt * w.x_est[1, i]
-            qd[i] = w.x_est[1, i]
-    return older if stamped else not first and _match_lag(w, q, qd, gains)
-
-
-@compiled()
-def _mark_unknown(robot: Any, w: Any, read: Array, old: Array) -> None:
-    """Replace unusable velocities, and the predictions for `old` joints, by NaN in `read`."""
     for i in range(len(old)):
-        if w.no_velocity[()] != 0.0 or not abs(read[1, i]) <= FARTHEST * robot.qd_max[i]:
-            read[1, i] = math.nan
-            w.faults[VELOCITY] = 1.0
+        read[0, i] -= later * dt * w.x_est[1, i]
         if old[i]:
-            read[0, i] = read[1, i] = math.nan
+            read[0, i] = w.x_est[0, i] - w.lag[()] * dt * w.x_est[1, i]
+            read[1, i] = w.x_est[1, i]
+    if not (stamped or first):
+        _match_lag(w, read[0], read[1], gains)
+    return w.age[()] < 0.0
 
 
 @compiled()
 def _take_new(
-    robot: Any, gains: Any, w: Any, q: Array, qd: Array, old: Array, rested: float, waited: Array
+    robot: Any, gains: Any, w: Any, read: Array, old: Array, rested: float, waited: Array
 ) -> None:
-    """Update the estimate of the arm's motion by new readings q and qd (n_m,).
+    """Update the estimate of the arm's motion by new readings (2, n_m).
 
     The readings of `old` joints (n_m,) are predictions. `rested` and `waited` (n_m,) are results of
     `_compare_joints`. More than 0.1 s of repetitions are a gap of unknown duration; after it, a
     reading that the arm cannot reach within 0.1 s is a jump.
     """
-    first = math.isnan(w.q_posture[0])
+    first, q = math.isnan(w.q_posture[0]), read[0].copy()
     w.q_last[3] += waited
     if rested > 0.0:
         _forget_groups(w)
     w.age[()] += rested
     gap, longest = rested * gains.dt > MAX_AGE, round(MAX_AGE / gains.dt)
     leapt = gap and has_jumped(w.x_read, q, robot.qd_max, longest, gains.dt, 0.0 * q)
-    age, predicted, read = int(w.age[()]), w.x_est[1].copy(), np.stack((q, qd))
+    age, predicted = int(w.age[()]), w.x_est[1].copy()
+    if first or gap:
+        _measure_from(w, q, read[1])
+    else:
+        _find_lag(robot, w, q, age, gains)
+        _find_period(w, q, read[1], age + 1, gains)
     if first:
         put(w.q_posture, q)
         w.ratio[()] = 0.0
-        _measure_from(w, q, qd)
         _forget_groups(w)
-    elif gap:
-        _measure_from(w, q, qd)
-    else:
-        _find_lag(robot, w, q, age, gains)
-        _find_period(w, q, qd, age + 1, gains)
     lag, w.interval[()] = int(w.lag[()]), age + 1.0
     steps = age + 1 if w.known[()] >= age + 1 + lag and not gap else 0
     known, periods = _recall(w, lag, steps), age + 1 + lag + w.q_last[3]
-    _mark_unknown(robot, w, read, old & (steps > 0))
+    for i in range(len(old)):
+        if w.no_velocity[()] != 0.0 or not abs(read[1, i]) <= FARTHEST * robot.qd_max[i]:
+            read[1, i] = math.nan
+            w.faults[VELOCITY] = 1.0
+        if old[i] and steps > 0:  # a prediction is no reading
+            read[0, i] = read[1, i] = math.nan
     if leapt:
         fill(w.x_read[2], 0.0)
     drift = process_noise(w, robot.qd_max, periods, gains)
-    for i in range(len(qd)):
+    for i in range(len(drift)):
         grow(w.P_est[i], drift[i], int(waited[i]), gains.dt)
     jumped = estimate_arm(w, known, read, robot.qd_max, drift, gains) or leapt
-    w.faults[JUMP] = 1.0 if jumped else 0.0
+    w.faults[JUMP] = jumped
     forgotten = min(age + 1.0, _GROUP) * _DOUBT / _GROUP
     w.contradiction[()] = max(w.contradiction[()] + _JUMPS * jumped - forgotten, 0.0)
     if jumped:

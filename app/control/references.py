@@ -52,11 +52,9 @@ _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 @compiled()
 def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
     """Whether R (3, 3) is a rotation, p (3,) finite, v (6,) ≤ `FASTEST` and a (6,) ≤ `HARDEST`."""
-    if not math.isfinite(p.sum()):
+    slow = np.abs(v).max() <= FASTEST and np.abs(a).max() <= HARDEST  # not NaN
+    if not (slow and math.isfinite(p.sum())):
         return False
-    for i in range(6):
-        if not (abs(v[i]) <= FASTEST and abs(a[i]) <= HARDEST):  # NaN too
-            return False
     for i in range(3):
         for j in range(3):
             product = R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j]
@@ -217,8 +215,8 @@ def shift_reference(gains: Any, w: Any) -> None:
         return
     at, v, a = _state(w.shift, w.shift_time[()])
     _put_moved(w.x_ref, w.x_ref.copy(), at)
-    w.v_ref += v
-    w.a_ref += a
+    put(w.v_ref, w.v_ref + v)
+    put(w.a_ref, w.a_ref + a)
 
 
 @compiled()

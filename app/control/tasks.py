@@ -14,8 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.compiled import compiled
-from app.control.qp import cholesky, forward, put, solved
-from app.robot.model import STABLE_STEPS
+from app.control.qp import cholesky, dot, fill, forward, put, put_rows, solved, times
 from app.strict import Array
 
 _SHORTEST_RISE = 0.02  # [m] shortest distance over which β rises from 0 to 1
@@ -84,9 +83,8 @@ def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) ->
 
     n (3,) is the normal from the base to the arm, of length 1 or less, ṗ (3,) [m/s] the velocity of
     the closest point relative to the base; k_p is in m/s², k_v in 1/s. The compared method
-    `repulsive` realises ẍ_rep by the arm alone. This is a simplified form of the method by Dietrich
-    et al. (2011, 2012) that §4.2.1 names: there the force is the gradient of a potential of the
-    distance, and the damping depends on the configuration.
+    `repulsive` simplifies the method by Dietrich et al. (2011, 2012) that §4.2.1 names: there the
+    force is the gradient of a potential, and the damping depends on the configuration.
     """
     return k_p * n - k_v * velocity
 
@@ -106,20 +104,20 @@ def generate_avoidance_task(
     """Write the rows of T_sca: those of the base, then those of the pairs within the arm.
 
     The base's rows are [J_m O] q̈ = ẍ_m with J̇_m = 0: `base_rows` (n_b, n) and `xdd_m` (n_b,)
-    [m/s² or rad/s²]. All have the activation `beta_m` [-], 0 if the method does not move the base.
-    The pairs within the arm (L_m^c) have the Jacobians `J_r` (k, n) of (21), the right-hand sides
-    `b_r` (k,) [m/s²] ẍ_r − J̇_r q̇, and the activations `beta_r` (k,). The outputs are the first
-    n_b + k rows of J_sca, of ẍ_sca − J̇_sca q̇ (`b_sca`), and of the diagonal `B`.
+    [m/s² or rad/s²], all with the activation `beta_m`. The pairs within the arm (L_m^c) have the
+    Jacobians `J_r` (k, n) of (21), the right-hand sides `b_r` (k,) [m/s²] ẍ_r − J̇_r q̇, and the
+    activations `beta_r` (k,). The outputs are the first n_b + k rows of J_sca, of ẍ_sca − J̇_sca q̇
+    (`b_sca`), and of the diagonal `B`.
 
     Paper: Eq. (16), (19), (22), (23), (24), (25), (27).
     """
-    n_b = len(xdd_m)
-    for i in range(n_b):
-        put(J_sca[i], base_rows[i])
-        b_sca[i], B[i] = xdd_m[i], beta_m
-    for i in range(len(b_r)):
-        put(J_sca[n_b + i], J_r[i])
-        b_sca[n_b + i], B[n_b + i] = b_r[i], beta_r[i]
+    n_b, end = len(xdd_m), len(xdd_m) + len(b_r)
+    put_rows(J_sca, base_rows)
+    put_rows(J_sca[n_b:], J_r)
+    put(b_sca[:n_b], xdd_m)
+    put(b_sca[n_b:end], b_r)
+    fill(B[:n_b], beta_m)
+    put(B[n_b:end], beta_r)
 
 
 @compiled()
@@ -192,20 +190,16 @@ def end_effector_task(
     Paper: Eq. (26), its task T_2.
 
     Returns:
-        The right-hand side b (6,) of J_ee q̈ = b; and λ [m²], the squared norm of the bounded pose
-        error (m and rad count alike).
+        b (6,) of J_ee q̈ = b; λ [m²], the squared norm of the bounded pose error (rad count as m).
     """
     b, rest = np.empty(6), 0.0
     for part in range(0, 6, 3):
-        pull, length = np.empty(3), 0.0
-        for i in range(3):
-            pull[i] = k_p * pose[part + i]
-            length += pull[i] ** 2
-        bound = k_v * max_speed
-        share = min(bound / max(math.sqrt(length), 1e-12), 1.0)
-        for i in range(3):
-            b[part + i] = acceleration[part + i] + k_v * velocity[part + i] + share * pull[i]
-            rest += (share * pull[i]) ** 2
+        at = slice(part, part + 3)
+        pull = k_p * pose[at]
+        pull *= min(k_v * max_speed / max(math.sqrt(dot(pull, pull)), 1e-12), 1.0)
+        put(b[at], acceleration[at] + k_v * velocity[at] + pull)
+        for each in pull:
+            rest += each * each
     return b, rest / max(k_p, 1e-12) ** 2
 
 
@@ -227,20 +221,12 @@ def add_tracking(
     Returns:
         (n, n) and (n,): (1 + w λ) H + w JᵀJ, and c + w (λ H k_v q̇ − Jᵀ b).
     """
-    n, (k, _) = len(c), J.shape
-    H_all, c_all = np.empty((n, n)), np.empty(n)
-    for i in range(n):
-        damped = driven = 0.0
-        for j in range(n):
-            both = 0.0
-            for l in range(k):
-                both += J[l, i] * J[l, j]
+    H_all = np.empty_like(H)
+    for i in range(len(c)):
+        for j in range(len(c)):
+            both = dot(J[:, i], J[:, j])
             H_all[i, j] = H[i, j] + weight * (lm_damping * H[i, j] + both)
-            damped += H[i, j] * velocity[j]
-        for l in range(k):
-            driven += J[l, i] * b[l]
-        c_all[i] = c[i] + weight * (lm_damping * damped - driven)
-    return H_all, c_all
+    return H_all, c + weight * (lm_damping * times(H, velocity) - times(J.T, b))
 
 
 @compiled()
@@ -259,14 +245,11 @@ def posture_objective(
     to s⁵, where s is 0 in the middle of its range and ±1 at a limit: a joint leaves its limit if
     the other tasks can be satisfied away from this limit.
 
-    Args:
-        qd: (n,) q̇.
-        q_m: (n_m,) [rad or m] joint positions.
-        q_posture: (n_m,) [rad or m] the posture.
-        q_limits: (2, n_m) [rad or m] lower and upper joint limits.
-        arm: Stiffness towards the posture [1/s²], damping of the joints [1/s], and restoring
-            acceleration at a joint limit, relative to half the range [1/s²].
-        base: Cost of the base's acceleration, relative to a joint's [-], and its damping [1/s].
+    `qd` (n,) is q̇. `q_m` and `q_posture` (n_m,) [rad or m] are the joint positions and the
+    posture, `q_limits` (2, n_m) the lower and upper joint limits. `arm` has the stiffness towards
+    the posture [1/s²], the damping of the joints [1/s], and the restoring acceleration at a joint
+    limit, relative to half the range [1/s²]; `base` has the cost of the base's acceleration,
+    relative to a joint's [-], and its damping [1/s].
     """
     n, n_m = len(qd), len(q_m)
     n_b = n - n_m
@@ -286,15 +269,6 @@ def posture_objective(
             + joint_centering * half * share**5
         )
     return H, c
-
-
-@compiled()
-def stable_damping(damping: Array, inertia: Array, time: float) -> Array:
-    """(n_m,) [N m s/rad or N s/m] `damping`, but at most m/(3 T), which is stable in steps of T.
-
-    `inertia` (n_m,) [kg m² or kg] is m of each joint, `time` [s] is T.
-    """
-    return np.minimum(damping, inertia / (STABLE_STEPS * time))
 
 
 @compiled()
@@ -323,9 +297,8 @@ def add_base_rest_task(
 ) -> tuple[Array, Array]:
     """H and c of a guided arm for a free base, with the task that brings this base to rest.
 
-    The arguments H and c are those of `guided_objective`, `L_aa` is the Cholesky factor of M_aa,
-    and `qd` (n,) is q̇. `weight` [-] and `damping` [1/s] are the two numbers of `base` in
-    `posture_objective`.
+    H and c are those of `guided_objective`, `L_aa` is the Cholesky factor of M_aa, `qd` (n,) is q̇.
+    `weight` [-] and `damping` [1/s] are the two numbers of `base` in `posture_objective`.
     """
     n = len(c)
     H, c = H.copy(), c.copy()
@@ -358,8 +331,7 @@ def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array
     for i in range(len(d)):
         share = f * min(max(1.0 - d[i] / d_b, 0.0), 1.0)
         if share > 0.0:
-            for j in range(len(u)):
-                u[j] += share * J[i, n_b + j]
+            u += share * J[i, n_b:]
     return u
 
 
@@ -377,8 +349,7 @@ def insert_rows(
 
     the blend of (29), where q̈*_∖i is the solution without row i. With other rows, row i has no
     effect at β_i = 0, and at β_i = 1 it is satisfied up to an error in proportion to ε. The paper
-    blends all rows with the solution without any of them: this blend jumps when a row enters while
-    a different row is active.
+    blends all rows with the solution without any row, which jumps when a second row enters.
 
     H (n, n) is symmetric positive definite; `J` (k, n), `b` (k,) and `beta` (k,) are the rows. The
     first `fixed` entries of q̈ are fixed, and do not contribute to J_i H⁻¹ J_iᵀ.
@@ -431,17 +402,14 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
         for j in range(3):
             for k in range(n_m):
                 follows[i, j] += J_ee[i, n_b + k] * J_ee[j, n_b + k] * (qd_max[k] / speed) ** 2
-    rest, moved = np.eye(3), np.zeros((3, n_b))
+    rest, moved = np.eye(3), np.empty((3, n_b))
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 rest[i, j] += follows[i, k] * follows[k, j]
-        for j in range(n_b):
-            for k in range(n_b):
-                moved[i, j] += J_ee[i, k] * J_m_inv[k, j]
     L = cholesky(rest)
     for j in range(n_b):
-        put(moved[:, j], solved(L, moved[:, j]))
+        put(moved[:, j], solved(L, times(J_ee[:3, :n_b], J_m_inv[:, j])))
     return moved
 
 

@@ -9,8 +9,8 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.notifications import Notifier
+from app.dashboard.record import Timeline
 from app.dashboard.scene.scene import RobotScene
-from app.dashboard.timeline import Timeline
 from app.simulation.loop.commands import Point, Pull, Release
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
@@ -28,7 +28,6 @@ class Grip:
     def __init__(
         self, sink: LoopHandle, notifier: Notifier, client: viser.ClientHandle, timeline: Timeline
     ) -> None:
-        """Start without a held point; commands to `sink` contain the number of `client`."""
         self._sink, self.notifier, self._client, self._timeline = sink, notifier, client, timeline
         self._held: tuple[str | None, Point | None] | None = None  # if held: arguments of `take`
         self._pulls = False  # whether the simulation has a pull of this viewer
@@ -49,11 +48,10 @@ class Grip:
         return self._held is not None
 
     def take(self, link: str | None = None, point: Point | None = None) -> None:
-        """Release the held point, and hold another point, by default the end-effector.
+        """Hold a point instead of the one that is held: by default the end-effector.
 
-        `link` is the name of the joint that moves the held link; `point` (3,) [m] is in the frame
-        of this joint. If the page shows the past, no point is held: the page returns to the
-        present, with a message.
+        `point` (3,) [m] is in the frame of the joint `link`. If the page shows the past, no point
+        is held: the page returns to the present, with a message.
         """
         with self._lock:
             self.release()
@@ -65,11 +63,11 @@ class Grip:
             self._by_keys = False
 
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
-        """Pull the held point to a target (3,) [m] in the world; a negative z is replaced by 0.
+        """Pull the held point to a target (3,) [m] in the world.
 
-        A call has no effect if no point is held, if keys hold it and `by_keys` is False, or if a
-        drag holds it and `by_keys` is True. If `reach` is set, no pull is sent: `reach` gets the
-        unchanged target if the end-effector is held. The first z < 0 of a pull warns the viewer.
+        The call has no effect unless a point is held by keys (`by_keys`) or by a drag (otherwise).
+        A negative z is replaced by 0; the first one of a pull warns the viewer. If `reach` is set,
+        no pull is sent: `reach` gets the unchanged target if the end-effector is held.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -90,8 +88,8 @@ class Grip:
         """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead` (3,).
 
         `ahead` is forward, left and up in the base's frame, clipped to [−1, 1]. The target stays
-        within `MOST_NUDGED` of the end-effector in `snapshot`. The first call of a pull by keys
-        returns to the present. During a drag, the call has no effect.
+        within `MOST_NUDGED` of the end-effector in `snapshot`. The first call of a pull returns to
+        the present. During a drag, the call has no effect.
         """
         with self._lock:
             if self.holds_anything and not self._by_keys:
@@ -102,12 +100,11 @@ class Grip:
                 self._target, self._by_keys = np.array(snapshot.p_ee), True
             step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ np.clip(ahead, -1.0, 1.0)
             reach = self._target + NUDGE * step - snapshot.p_ee
-            scale = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
-            self._target = snapshot.p_ee + scale * reach
+            reach *= MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
+            self._target = snapshot.p_ee + reach
             self.pull(self._target, by_keys=True)
 
     def release_keys(self) -> None:
-        """Release the held point if keys hold it; a drag continues."""
         with self._lock:
             if self._by_keys:
                 self.release()

@@ -11,7 +11,7 @@ from app.border.dbb import Cloud
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
 from app.simulation.loop.pacing import Pacer
-from app.simulation.scenarios.posture import PostureSearch, Target
+from app.simulation.scenarios.start import PostureSearch, Target
 from app.simulation.session import DT, Session
 from app.simulation.trace.snapshot import Snapshot, make_snapshot
 from app.strict import Array
@@ -52,7 +52,7 @@ class Explorer:
             session = self._session
             session.controller.use(snapshot.controller)
             q_m = np.clip(posture.q_m, self._model.q_lower, self._model.q_upper)
-            session.restart(snapshot.config, q_m, posture.base_pose)
+            session.reset(q_m, posture.base_pose, snapshot.config)
             step = session.step()
             self._response = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
             self._request = request
@@ -64,9 +64,8 @@ class Explorer:
         """Find a posture that brings the end-effector to `place` (3,) [m] in the world.
 
         Return this posture, and the distance [m] of the end-effector from `place`. The search
-        starts from `posture`, and the base stays. The end-effector's z axis keeps its direction. If
-        the distance is then not below `CLOSE`, a second search lets the axis turn, and the posture
-        with the smaller distance is returned.
+        starts from `posture`; base and direction of the end-effector's z axis stay. If the distance
+        is not below `CLOSE`, a second search lets the axis turn; the nearer posture is returned.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

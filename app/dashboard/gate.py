@@ -4,8 +4,6 @@ viser has no hook for these checks. Therefore this module wraps the functions th
 `websockets` when its server starts. viser itself does not check the types of a message's fields.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import ipaddress
 import math
@@ -15,7 +13,7 @@ import struct
 import threading
 from asyncio import get_running_loop
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from html import escape
 from http import HTTPStatus
@@ -39,8 +37,8 @@ _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] longest time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
 _QUERY = re.compile(r"(fixedDpr=([1-4]|[0-3]\.\d{1,3}))?")
-"""The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
-parameters are refused, because one of them selects another server."""
+"""Allowed query of an address: drawn pixels per pixel of the page. viser's other parameters are
+refused, because one of them selects another server."""
 _LONGEST_PATH = 255  # [characters] length of a path; no file of the page has a longer one
 _MOST_UPLOADS = 2  # [-] simultaneous uploads
 _LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
@@ -74,8 +72,8 @@ _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
 _REQUEST = re.compile(rb"([A-Z]+) (\S+) HTTP/1\.[01]\r\n")
 _METHODS = "GET", "HEAD"
 _PORTS = {"http": 80, "https": 443}
+# Headers that may occur once only, because this module or viser reads a single value.
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
-"""Headers that may occur once only, because this module or viser reads a single value."""
 _lock = threading.Lock()
 
 _TAKEN = (
@@ -147,11 +145,10 @@ class Gate:
             raise ServerError("this version of viser starts its server in an unknown way")
 
     async def _answer(
-        self, inner: Callable[..., Any], connection: _Connection, request: Request
+        self, inner: Callable[..., Any], connection: "_Connection", request: Request
     ) -> Response | None:
         """Return a refusal or `inner`'s answer, with scripts and headers; None for a websocket."""
-        answer = self._refusal(request, connection.method)
-        if answer is None:
+        if (answer := self._refusal(request, connection.method)) is None:
             answer = inner(connection, request)
             answer = await answer if hasattr(answer, "__await__") else answer
             if answer and answer.headers.get("Content-Type", "").startswith("text/html"):
@@ -166,34 +163,37 @@ class Gate:
         return answer
 
     def _refusal(self, request: Request, method: str) -> Response | None:
-        headers = request.headers
+        headers, status, more = request.headers, HTTPStatus.BAD_REQUEST, ""
         path, _, query = request.path.partition("?")
         if method not in _METHODS:
+            status = HTTPStatus.METHOD_NOT_ALLOWED
             why = f"this server does not accept the method {method}; use GET or HEAD"
-            return _refused(HTTPStatus.METHOD_NOT_ALLOWED, why)
-        if twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
+        elif twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             why = f"the request has the header {twice[0]} more than once"
-            return _refused(HTTPStatus.BAD_REQUEST, why)
-        origin, host = headers.get("Origin"), headers.get("Host")
-        if not is_allowed(origin, host, self._own_names, self._allowed):
-            why = "this page is not allowed to connect to this server"
+        elif not is_allowed(
+            headers.get("Origin"), host := headers.get("Host"), self._own_names, self._allowed
+        ):
+            status, why = HTTPStatus.FORBIDDEN, "this page is not allowed to connect to this server"
             name = re.match(r"[\w.-]+", host or "")
             more = _WAY_OUT.format(name=name[0] if name else "NAME")
-            return _refused(HTTPStatus.FORBIDDEN, why, more)
-        if headers.get("Upgrade", "").lower() == "websocket":
+        elif headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
+            status = HTTPStatus.SERVICE_UNAVAILABLE
             why = f"{len(self._uploads)} pages are open: this is the limit of the server"
-            return _refused(HTTPStatus.SERVICE_UNAVAILABLE, why)
-        if len(path) > _LONGEST_PATH:
+        elif len(path) > _LONGEST_PATH:
+            status = HTTPStatus.REQUEST_URI_TOO_LONG
             why = f"the path has {len(path)} characters; the limit is {_LONGEST_PATH}"
-            return _refused(HTTPStatus.REQUEST_URI_TOO_LONG, why)
-        if not _QUERY.fullmatch(query):
+        elif not _QUERY.fullmatch(query):
             why = f"unknown parameter in the address: {query}"
             # A relative address, because a proxy may serve this page below a path.
             more = '<p><a href=".">Open the page without it</a></p>'
-            return _refused(HTTPStatus.BAD_REQUEST, why, more)
-        return None
+        else:
+            return None
+        html = _REFUSAL.format(why=escape(why[:_LONGEST_REASON]), more=more)
+        body = html.encode(errors="replace")
+        fields = {"Content-Length": str(len(body)), "Content-Type": "text/html; charset=utf-8"}
+        return Response(status.value, status.phrase, Headers(fields), body)
 
     async def _handle(self, inner: Callable[..., Any], connection: Any) -> None:
         """Run viser's handler `inner`; it gets only checked messages of pages of this version."""
@@ -209,24 +209,16 @@ class Gate:
             self._uploads.discard(uploads)
 
 
-def _refused(status: HTTPStatus, why: str, more: str = "") -> Response:
-    """Return a page with the HTML `more` and with the reason `why`, which is escaped."""
-    html = _REFUSAL.format(why=escape(why[:_LONGEST_REASON]), more=more)
-    body = html.encode(errors="replace")
-    fields = {"Content-Length": str(len(body)), "Content-Type": "text/html; charset=utf-8"}
-    return Response(status.value, status.phrase, Headers(fields), body)
-
-
 class _Connection(ServerConnection):
     """A connection that answers every HTTP request, and returns checked messages only.
 
-    The library `websockets` answers only GET requests of HTTP/1.1. But proxies send requests of
-    HTTP/1.0, and health checks send HEAD requests.
+    The library `websockets` answers only GET requests of HTTP/1.1, but proxies send HTTP/1.0, and
+    health checks send HEAD requests.
     """
 
     method = "GET"  # method of the HTTP request, such as "HEAD"
     gate: Gate
-    uploads: Uploads
+    uploads: "Uploads"
 
     def data_received(self, data: bytes) -> None:
         """Read data; replace the first line of a request by that of GET and HTTP/1.1."""
@@ -289,25 +281,22 @@ def is_allowed(
 
 
 def _is_here(name: str, own_names: Collection[str]) -> bool:
-    try:
+    with suppress(ValueError):
         ipaddress.ip_address(name)
-    except ValueError:
-        known = {"localhost", *own_names, socket.gethostname().lower()}
-        return name.rstrip(".") in known or name.lower().endswith(".localhost")
-    return True
+        return True
+    known = {"localhost", *own_names, socket.gethostname().lower()}
+    return name.rstrip(".") in known or name.lower().endswith(".localhost")
 
 
 def _record(message: type) -> type:
     """Return a record type for a type of viser message; msgspec checks the types of its fields."""
-    hints = get_type_hints(message)
+    name, hints = message.__name__, get_type_hints(message)
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
         for f in dataclasses.fields(message)
         if f.init
     ]
-    return msgspec.defstruct(
-        message.__name__, fields, tag_field="type", tag=message.__name__, forbid_unknown_fields=True
-    )
+    return msgspec.defstruct(name, fields, tag_field="type", tag=name, forbid_unknown_fields=True)
 
 
 _RECORDS = {message: _record(message) for message in _TAKEN}
@@ -317,7 +306,7 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 class Uploads:
     """Register of a viewer's unfinished uploads; viser stores parts of unknown files forever."""
 
-    def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
+    def __init__(self, largest: int, everyone: Collection["Uploads"] = ()) -> None:
         """Accept files of up to `largest` [bytes], and `_MOST_UPLOADS` of `everyone` at a time."""
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}

@@ -11,10 +11,9 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
@@ -25,7 +24,6 @@ from app.system import limited, return_freed_memory, usable_cores, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
-    from app.dashboard.export import Look, Side
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
@@ -33,7 +31,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger("app.dashboard")  # for all jobs that viewers can start
 _CORES = max(1, usable_cores() - 1)  # [-] cores for a job; the simulation needs one core
-FILM_RATE = 25.0  # [1/s] frame rate of a film
 _PATIENCE = 10.0  # [s] timeout for the end of a thread
 
 
@@ -41,7 +38,7 @@ def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector, and return the freed memory to the system.
 
     Python itself rarely searches old objects, such as a model or a border, for reference cycles.
-    If `frozen`, the objects that `gc_frozen` has excluded are searched too, and then all remaining
+    If `frozen`, the search includes the objects that `gc_frozen` has excluded; then all remaining
     objects are excluded.
     """
     frozen &= gc.get_freeze_count() > 0
@@ -85,8 +82,8 @@ class Job:
             self.progress = Progress(title, time.monotonic(), text)
         self.problem = ""
         self._cancelled.clear()
-        work_of = partial(self._work, title, work)
-        self._thread = threading.Thread(target=work_of, name="job", daemon=True)
+        what = title, work
+        self._thread = threading.Thread(target=self._work, args=what, name="job", daemon=True)
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
@@ -129,12 +126,11 @@ class Job:
             logger.exception("%s failed", title)
             problem = f"{title}: {plain(error)}"
         finally:
-            self.problem = problem
-            self.progress = None
+            self.problem, self.progress = problem, None
             give_back(frozen=self.replaces_robot)
 
 
-def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
+def loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
     """Return a robot's model and border data; `sampling` has arguments of `load_border_data`."""
     from app.border.cache import load_border_data
     from app.robot.description import load_robot
@@ -148,7 +144,7 @@ def sample_border(report: Report, robot: str) -> BorderData:
     """Return link pairs and point clouds of a robot; sample them if they are not cached."""
     text = "sampling its border (once)"
     report(text, 0.0)
-    return _loaded(robot, processes=_CORES, on_progress=lambda share: report(text, share))[1]
+    return loaded(robot, processes=_CORES, on_progress=lambda share: report(text, share))[1]
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
@@ -172,7 +168,7 @@ def build_robot(report: Report, request: Request) -> None:
         report(step, share)
 
     pool = partial(helpers, _CORES)
-    finish(request, pool, tell=tell, processes=_CORES, on_progress=lambda x: tell(step, x))
+    finish(request, pool, tell=tell, processes=_CORES, on_progress=lambda x: report(step, x))
 
 
 def write_log(report: Report, trace: Trace, log: Path) -> None:
@@ -190,38 +186,3 @@ def write_report(report: Report, trace: Trace, page: Path) -> None:
 
     report("drawing the figures", 0.0)
     write_whole(page, run_report(trace, lambda share: report("drawing the figures", share)))
-
-
-def write_replay(report: Report, trace: Trace, page: Path) -> None:
-    from app.dashboard.export import Look
-    from app.dashboard.export.offscreen import replay_html
-    from app.dashboard.scene.camera import first_view
-
-    model, data = _loaded(trace.meta.robot, progress=False)
-    duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
-    look = Look(view=cast("Side", first_view(trace.snapshots[0])))
-
-    def on_progress(t: float) -> None:
-        report("drawing the pictures", min(t / duration, 1.0))
-
-    write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))
-
-
-def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
-    """Write a film of a trace at true speed, with `FILM_RATE` and the default codec of a suffix."""
-    from app.dashboard.export.browser import chromium
-    from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
-
-    report("starting a browser", 0.0)
-    with chromium() as browser:  # first, because all later work needs it
-        model, data = _loaded(trace.meta.robot, progress=False)
-        begin, end = trace.snapshots[0].t, trace.snapshots[-1].t
-        times = [begin + k / FILM_RATE for k in range(1 + int((end - begin) * FILM_RATE + 1e-9))]
-        pictures = film_pictures(browser, trace.snapshots, times, model, data.clouds, look)
-
-        def on_progress(k: int) -> None:
-            report(f"picture {k + 1} of {len(times)}", k / len(times))
-
-        with closing(pictures):
-            codec = next(iter(CODECS[film.suffix]))
-            write_film(film, pictures, FILM_RATE, codec, on_progress)

@@ -59,12 +59,12 @@ class Notifier:
     def _show(self, client: viser.ClientHandle | None, title: str, text: str, colour: Any) -> None:
         seconds = 30.0 if colour == "red" else 6.0
         text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # from a file, for example
-        clients = [client] if client is not None else list(self._server.get_clients().values())
-        here = {each.client_id for each in clients} | set(self._server.get_clients())
+        here = self._server.get_clients()
+        clients = here if client is None else {client.client_id: client}
         for key in tuple(self._shown):
-            if key[0] not in here:  # a handle would keep a closed page in memory
+            if key[0] not in (*here, *clients):  # a handle would keep a closed page in memory
                 self._shown.pop(key, None)
-        for each in clients:
+        for each in clients.values():
             key = (each.client_id, title)
             before, count, old, until = self._shown.get(key, ("", 0, None, 0.0))
             if old is not None:

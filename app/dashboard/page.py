@@ -1,7 +1,5 @@
 """Page of one viewer: its panels, layers, camera and point in time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -44,7 +42,7 @@ class Page(Viewer):
         client: viser.ClientHandle,
         shared: SharedState,
         notifier: Notifier,
-        before: Page | None = None,
+        before: "Page | None" = None,
     ) -> None:
         """Create the page of a client; `before` is the client's closed page of another robot."""
         super().__init__(client, notifier, shared, before)
@@ -92,9 +90,7 @@ class Page(Viewer):
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
         if self._border.update(self.view, shown.border):
-            spoken, legends = self.shared.spoken, self._border.legends
-            named = [each._replace(pair=spoken[each.pair]) for each in legends]
-            self._why.legend.content = legend_html(named)
+            self._why.legend.content = legend_html(self._border.legends)
         with self.client.atomic():
             if self._look != (self.view.dark, self.view.light):
                 self._look = self.view.dark, self.view.light
@@ -132,7 +128,7 @@ class Page(Viewer):
         """Show an error at the top of the right column until the page is replaced."""
         _show(self._banner, banner("error", title, plain(error)))
 
-    def with_robot(self, shared: SharedState) -> Page:
+    def with_robot(self, shared: SharedState) -> "Page":
         """Return a page of another robot in place of this page, or this page if it is closed."""
         if self.closed:
             return self

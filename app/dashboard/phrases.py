@@ -38,9 +38,8 @@ def sentence(text: str) -> str:
 def angle(x: float, y: float) -> str:
     """Return a direction of the base's frame in degrees from forward: "150° to the left"."""
     degrees = round(math.degrees(math.atan2(y, x)))
-    if degrees in (0, 180, -180):
-        return f"{abs(degrees)}°"
-    return f"{abs(degrees)}° to the {'left' if degrees > 0 else 'right'}"
+    side = f" to the {'left' if degrees > 0 else 'right'}" if degrees % 180 else ""
+    return f"{abs(degrees)}°{side}"
 
 
 def direction(x: float, y: float) -> str:

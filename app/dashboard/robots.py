@@ -1,9 +1,7 @@
 """Robots of the page: replacement of the running robot, and new robots from a zip."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
@@ -24,8 +22,8 @@ from app.simulation.plants import default_plant
 from app.system import remove_abandoned, temporary_folder
 
 _NEEDED = assets.resolved_urdf if default_plant() == "planar" else assets.bare_urdf
-"""Raises `AssetError` if a file of a robot is missing that the default plant needs. pybullet
-(`planar`) needs every mesh; without a mesh, MuJoCo and the page use the convex bodies."""
+"""Raises `AssetError` if a robot lacks a file that the default plant needs. pybullet (`planar`)
+needs every mesh; without a mesh, MuJoCo and the page use the convex bodies."""
 
 
 class RobotEntry(NamedTuple):
@@ -47,7 +45,7 @@ def robot_entries() -> list[RobotEntry]:
     for name in assets.robot_names():
         title, about, problem = name, "", None
         page = assets.robot_folder(name) / "report.html"
-        own, report = assets.is_own(name), page.is_file() and not page.is_symlink()
+        report = page.is_file() and not page.is_symlink()
         try:
             description = load_robot(name)
             title = description.title
@@ -55,7 +53,7 @@ def robot_entries() -> list[RobotEntry]:
             _NEEDED(description)
         except DbbError as error:
             problem = str(error)
-        entries.append(RobotEntry(name, title, about, problem, own, report))
+        entries.append(RobotEntry(name, title, about, problem, assets.is_own(name), report))
     return entries
 
 
@@ -73,10 +71,6 @@ class RunningRobot(NamedTuple):
     parts: RobotParts
     config: Config
     note: str  # message for the viewers, or an empty string
-
-
-def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
-    return next((each for each in entries if each.name == name), None)
 
 
 class RobotSwitch(Job):
@@ -102,11 +96,13 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
-        The new robot gets the present controller and the parameters `changes`, or its default
-        parameters if its simulation does not start with `changes`. Raises `ConfigError` if the
-        robot does not exist or cannot be used, or if another switch is running.
+        The robot gets the present controller and the parameters `changes`, or its defaults if its
+        simulation does not start with `changes`. Raises `ConfigError` if the robot does not exist
+        or cannot be used, or if another switch is running.
         """
-        entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
+        if name not in [each.name for each in self.entries]:
+            self.look()  # the robot may be new
+        entry = next((each for each in self.entries if each.name == name), None)
         if entry is None or self._start_loop is None:
             raise ConfigError(f"the robot {name!r} does not exist, or cannot be used here")
         if entry.problem is not None:

@@ -56,7 +56,7 @@ class DashboardServer:
         self._demonstration_due: float | None = None  # [s] of `time.monotonic`
         self._notifier = Notifier(viser_server)
         self._failure: tuple[str, BaseException] | None = None
-        self._here: frozenset[int] = frozenset()
+        self._here: set[int] = set()  # viewers whom `_newcomer` has returned
         self._stopping = threading.Event()
         work = self._draw_until_stopped
         self._thread = threading.Thread(target=work, name="dashboard", daemon=True)
@@ -99,7 +99,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the pull of a silent browser if its target did not move for over `PATIENCE`."""
+        """Release the pull of a viewer if the pull's target has not moved for over `PATIENCE`."""
         if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
@@ -125,27 +125,24 @@ class DashboardServer:
     def _draw_picture(self) -> None:
         """Draw a frame of each page; no local name may keep a robot that this call replaces."""
         self.shared.watch(bool(self.viser.get_clients()))
-        # A switch removes widgets. It waits until their last update is old: in a slow browser, a
-        # newer update would come after the removal and cause an error.
+        # A switch of the robot removes widgets. In a slow browser, an update shortly before would
+        # arrive after the removal and cause an error: so the last one is `TEXTS_EVERY` ago.
         if texts := time.monotonic() >= self._texts_due:
             self._switch_robot()
             self._texts_due = time.monotonic() + TEXTS_EVERY
-        shared = self.shared
+        shared, pages = self.shared, [page for page in self.pages.values() if not page.closed]
         shared.update()
-        pages = [page for page in self.pages.values() if not page.closed]
         self._demonstrate(pages, shared.loop.latest())
         for page in pages:
-            if not (texts or not page.view.light or self.pictures % 2 == 0):  # light: every second
-                continue
             try:
-                page.draw(texts=texts)
+                if texts or not page.view.light or self.pictures % 2 == 0:  # light: every second
+                    page.draw(texts=texts)
             except Exception as error:  # ends only this viewer's page
                 logger.exception("a page has ended")
                 page.close()
                 page.fail(_PAGE_ENDED, error)
         self.pictures += 1
-        error = shared.loop.error
-        if error is not None and self._failure is None:
+        if (error := shared.loop.error) is not None and self._failure is None:
             logger.error("the simulation ended", exc_info=error)
             self._fail("The simulation has stopped", error)
 
@@ -165,19 +162,17 @@ class DashboardServer:
         repeats = guide.state == "demo"
         if newest.scenario or newest.paused or newest.busy or (newest.ghosts and not repeats):
             return
-        if due is None:
-            self._demonstration_due = now + (REST if repeats else UNTOUCHED)
-        elif now <= due:
+        due = due or now + (REST if repeats else UNTOUCHED)
+        if now <= due:
             self._demonstration_due = due
-        else:
-            with contextlib.suppress(DbbError):  # the robot cannot play the scenario
-                guide.watch("demo")
+            return
+        with contextlib.suppress(DbbError):  # the robot cannot play the scenario
+            guide.watch("demo")
 
     def _open_and_close_pages(self) -> None:
         """Build at most one page, because this is slow; end the pages of disconnected viewers."""
-        due = time.monotonic() >= self._newcomer_due
-        if due and (client := self._newcomer()) is not None:
-            begin = time.thread_time()
+        begin = time.thread_time()
+        if time.monotonic() >= self._newcomer_due and (client := self._newcomer()):
             self._build_page(client)
             self._newcomer_due = _rested(begin)
         for number in self.pages.keys() - self.viser.get_clients().keys():
@@ -210,7 +205,9 @@ class DashboardServer:
         if (robot := switch.take()) is None:
             return
         try:
-            self.shared, self._failure = self.shared.followed_by(robot), None
+            shown = robot.loop, robot.model, robot.clouds, robot.parts
+            self.shared, self._failure = SharedState(*shown, before=self.shared), None
+            self.shared.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
             for number in list(self.pages):
                 self._build_page(self.pages[number].client)
         finally:
@@ -243,10 +240,10 @@ def serve_dashboard(
     """Open the dashboard, and start to draw the simulation `loop`, which has published a snapshot.
 
     There is neither a password nor encryption: in a network that is not trusted, use an address
-    that only this machine can reach. Port 0 selects a free port. Browsers may reach the server
-    under the `host` and under the names `allowed`. `clouds` has P_i of each pair of L_m, by the
-    pair's name. A button plays the `case`. `parts` are loaded here if they are None. `start_loop`
-    starts the simulation of another robot; if it is None, the robot cannot be changed.
+    that only this machine can reach. Port 0 selects a free port. Browsers may use the names `host`
+    and `allowed` for the server. `clouds` has P_i of each pair of L_m, by the pair's name. A button
+    plays the `case`. `parts` are loaded if they are None. `start_loop` creates the simulation of
+    another robot; if it is None, the robot cannot be changed.
 
     Raises `ServerError` if the address cannot be bound, and `AssetError` if the robot's URDF or the
     mesh of a convex body is missing.
@@ -268,7 +265,7 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return until when [s, `monotonic`] to rest after work since `begin` [s, `thread_time`]."""
+    """Return the end [s, `monotonic`] of a rest after work since `begin` [s, `thread_time`]."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 

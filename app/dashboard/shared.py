@@ -1,26 +1,28 @@
 """State that all viewers share: simulation, parameters with their history, and background jobs."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from time import monotonic
 
+import numpy as np
+
 from app.border.dbb import Cloud
 from app.config import Config
 from app.control.contract import check_gains
+from app.dashboard import phrases as words
 from app.dashboard.explorer import Explorer
 from app.dashboard.plans import plot_plans, quantities
-from app.dashboard.record import Course, Strip
-from app.dashboard.robots import RobotBuild, RobotSwitch, RunningRobot
+from app.dashboard.record import Course, Strip, Track
+from app.dashboard.robots import RobotBuild, RobotSwitch
+from app.dashboard.scene.borders import Borders
 from app.dashboard.scene.robot import RobotParts
-from app.dashboard.scene.scene import SceneData
 from app.errors import ConfigError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Configure, Watch
 from app.simulation.loop.loop import LoopHandle
+from app.simulation.plants.door import BODY as DOOR
 from app.simulation.scenarios.leading import Scenario
 
 BURST = 0.7  # [s] further changes of one parameter within this time belong to the same step
@@ -120,8 +122,8 @@ class Tuning:
         self._at, self._burst = len(self._steps) - 1, None
 
 
-class SharedState(SceneData):
-    """State that all pages share; the drawing thread calls `update` before each frame."""
+class SharedState:
+    """Data of a robot and its simulation that all pages share, and the background jobs."""
 
     def __init__(
         self,
@@ -132,31 +134,54 @@ class SharedState(SceneData):
         *,
         case: Scenario | None = None,
         robot_switch: RobotSwitch | None = None,
-        before: SharedState | None = None,
+        before: "SharedState | None" = None,
     ) -> None:
-        """Continue history and jobs of the state `before`; the rest is as in `serve_dashboard`."""
-        super().__init__(loop, model, clouds, parts)
+        """Use jobs and parameters of the state `before`; the rest is as in `serve_dashboard`."""
+        self._newest = first = loop.latest()
+        self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
         self.case = case  # a scenario that a button plays, or None
-        usual = model.description.config
-        self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
+        self.of_door = f"{model.body_names[0]}-{DOOR}"  # pair that exists if there is a door
+        pairs = [pair for pair in first.pairs if pair.name != self.of_door]
+        self.pairs = [pair.name for pair in pairs]  # all pairs but that of a door
+        self.mobile = [pair.name for pair in pairs if pair.mobile]  # pairs of L_m
+        named = (*self.pairs, self.of_door)
+        self.spoken = {name: words.spoken(name, model.body_names) for name in named}
+        self.parts = parts or RobotParts(model)
+        self.borders = Borders(model, clouds)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.plans = plot_plans(model, self.pairs, self.of_door)
-        self.quantities = quantities(model, loop.latest())  # curves to add, by name
+        self.quantities = quantities(model, first)  # curves to add, by name
+        self.tracks = {
+            "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], 0.004)),  # [m]
+            "end-effector": Track(lambda snapshot: snapshot.p_ee),
+        }
         self.course, self.strip = Course(), Strip(model.body_names)
-        self.keepers += [self.course, self.strip]
+        tracks: list[Track | Course | Strip] = [*self.tracks.values()]
+        self.keepers = [*tracks, self.course, self.strip]  # get each snapshot
+        self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._watched = True
+        usual = model.description.config
+        self.tuning = before.tuning if before else Tuning(loop, first.config, usual)
 
     @cached_property
     def explorer(self) -> Explorer:
         """Explorer of postures, for the drawing thread; it is created at its first use."""
         return Explorer(self.model, self.clouds, self.loop.latest())
 
-    def followed_by(self, robot: RunningRobot) -> SharedState:
-        """Return the shared state of another robot, with the history of parameters and the jobs."""
-        after = SharedState(robot.loop, robot.model, robot.clouds, robot.parts, before=self)
-        self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
-        return after
+    def update(self) -> None:
+        """Add each new snapshot once to all keepers; after a restart, reset the keepers."""
+        before, self._newest = self._newest, self.loop.latest()
+        if not self._newest.follows(before):
+            self.last = -1.0
+            for keeper in self.keepers:
+                keeper.begin()
+        for snapshot in self.loop.history(self.last):
+            if snapshot.run != self._newest.run:
+                return  # restarted just now; the next call resets the keepers
+            self.last = snapshot.t
+            for keeper in self.keepers:
+                keeper.add(snapshot)
 
     def watch(self, watched: bool) -> None:
         """Report to the simulation whether a viewer is connected; without one, it pauses."""

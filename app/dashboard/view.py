@@ -1,7 +1,5 @@
 """View of one viewer: layers, colours and plots that the viewer has chosen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -63,7 +61,7 @@ class View:
     def toggle_dark(self) -> None:
         self.dark = not self.dark
 
-    def of_robot(self, pairs: list[str], plots: list[str]) -> View:
+    def of_robot(self, pairs: list[str], plots: list[str]) -> "View":
         """Return the same choices for another robot, from its pairs of L_m and its plots' titles.
 
         If the other robot has none of the shown borders, its first border is coloured by its score.
@@ -74,7 +72,7 @@ class View:
         return replace(self, borders=borders, plots=self.plots & set(plots))
 
     @classmethod
-    def first(cls, pairs: list[str], plots: list[str]) -> View:
+    def first(cls, pairs: list[str], plots: list[str]) -> "View":
         """Return the default: the first border, coloured by its score, and the first four plots."""
         borders = dict.fromkeys(pairs, HIDDEN)
         if pairs:

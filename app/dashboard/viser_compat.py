@@ -51,9 +51,8 @@ _said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of e
 def _passes(record: logging.LogRecord) -> bool:
     """Whether a log record is written: one of each kind per minute, as any peer can cause records.
 
-    A record of a failed connection is one line if the peer or the connection can explain the
-    error. Records of other errors keep their traceback, because they are defects of this program
-    or of its libraries. viser hides records with the texts `_KNOCKS`, so these texts are changed.
+    The record of a failed connection loses its traceback unless the error is a defect of this
+    program or of a library. viser hides records with the texts `_KNOCKS`: their texts are changed.
     """
     text = record.getMessage().partition("\n")[0]
     error = record.exc_info[1] if record.exc_info else None
@@ -80,9 +79,9 @@ def open_server(
 ) -> viser.ViserServer:
     """Start a server behind a `Gate`, at an address for which `check_address` has succeeded.
 
-    Port 0 selects a free port. `largest_upload` [bytes] is the largest size of an uploaded file,
-    or 0 without uploads. `allowed` has further names under which browsers may reach the server.
-    Raises `ServerError` if viser starts its server in an unexpected way.
+    Port 0 selects a free port. `largest_upload` [bytes] is the largest size of an uploaded file; 0
+    forbids uploads. Browsers may also use the names `allowed` for the server. Raises `ServerError`
+    if viser starts its server in an unexpected way.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # no records of each connection
     for name in ("websockets.server", "asyncio", logger.name):
@@ -102,14 +101,12 @@ def open_server(
         return next((each for each in clients if _connection(each) is connection), None)
 
     def widget(connection: Any, uuid: str) -> Any:
-        client = client_of(connection)
-        guis = [server.gui, *([client.gui] if client else [])]
-        known = [gui._gui_input_handle_from_uuid for gui in guis]
+        owners = filter(None, (server, client_of(connection)))
+        known = [owner.gui._gui_input_handle_from_uuid for owner in owners]
         return next((widgets[uuid] for widgets in known if uuid in widgets), None)
 
     def on_refused(connection: Any, refused: RefusedError) -> None:
-        client = client_of(connection)
-        if client is None:
+        if (client := client_of(connection)) is None:
             return
         notifier.warn(client, f"Refused: {refused}.")
         shown = widget(connection, getattr(refused.message, "uuid", ""))
@@ -145,8 +142,7 @@ def scene_picture(
     Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError` if no picture arrives
     within the timeout [s].
     """
-    connection = _connection(client)
-    if connection is None:
+    if (connection := _connection(client)) is None:
         raise RuntimeError("the page has disconnected")
     with _pictures:
         connection.protocol.max_message_size += LARGEST_PICTURE  # until the picture is here
@@ -253,25 +249,22 @@ class Watchdog:
         self.closed = 0  # number of connections that were closed; their pages connect again
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
-        loop = self._server._background_event_loop
-        assert loop is not None, "the server runs"
-        self._loop = loop
-        loop.call_soon_threadsafe(self._look)
+        assert self._server._background_event_loop is not None, "the server runs"
+        self._loop = self._server._background_event_loop
+        self._loop.call_soon_threadsafe(self._look)
 
     def _look(self) -> None:
-        live = dict(self._server._live_connections)
-        self._seen = {
-            number: self._seen_now(number, connection, self._seen.get(number, _Seen()))
-            for number, connection in live.items()
-        }
-        for number, seen in self._seen.items():
+        before, self._seen = self._seen, {}
+        for number, connection in tuple(self._server._live_connections.items()):
+            seen = self._seen_now(number, connection, before.get(number, _Seen()))
+            self._seen[number] = seen
             if seen.unanswered >= SILENT:
                 self._on_silent(number)
             if max(seen.unanswered, seen.unsent) == STUCK:
                 self.closed += 1
                 text = "nothing reached viewer %d for %g s: the connection is closed and made anew"
                 logger.warning(text, number, STUCK * LOOK)
-                live[number].transport.abort()
+                connection.transport.abort()
         self._loop.call_later(LOOK, self._look)
 
     def _seen_now(self, number: int, connection: Any, before: _Seen) -> _Seen:
@@ -301,9 +294,9 @@ async def _ping(connection: Any) -> None:
 class _WakingEvent(asyncio.Event):
     """An event whose `set` wakes all waiters even if the event is already set.
 
-    viser sets its event from other threads, and again in the loop. If the first call comes between
-    a waiter's check and its wait, the second one wakes nobody, and the page gets no more messages
-    (docs/viser_wakeup.md).
+    viser sets its event in another thread, then again in the loop. If the first call comes between
+    a waiter's check and its wait, asyncio's event ignores the second call, and the page gets no
+    more messages (docs/viser_wakeup.md).
     """
 
     def set(self) -> None:

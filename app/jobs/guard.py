@@ -17,13 +17,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-_PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
-
 
 def wake_without_parent() -> None:
     """Let the system resume this process, if it is suspended, when its parent ends (Linux)."""
     with suppress(AttributeError):
-        ctypes.CDLL(None).prctl(_PARENT_DEATH, signal.SIGCONT)
+        ctypes.CDLL(None).prctl(1, signal.SIGCONT)  # PR_SET_PDEATHSIG
 
 
 @contextmanager

@@ -75,64 +75,49 @@ class Workers(AbstractContextManager["Workers"]):
     ) -> Iterator[Result]:
         """Execute the jobs, and yield their results in the order of the jobs.
 
-        The processes begin at once. Without processes, a job runs when its result is read.
+        `function` and `jobs` must be picklable. The processes begin at once. Without processes, a
+        job runs when its result is read. `on_progress` gets the finished share of all jobs, in the
+        thread that reads the results. With `tells`, `function` has a third argument, of the type
+        `OnProgress`, that it calls with the finished share of its job.
 
-        Args:
-            function: Executes a job; must be picklable.
-            jobs: The jobs; must be picklable.
-            on_progress: Gets the finished share of all jobs, in the thread that reads the results.
-            tells: Whether `function` has a third argument, of the type `OnProgress`, that it calls
-                with the finished share of the job.
-            lost: Makes the result of a job whose process has ended in each of three attempts.
-
-        Raises:
-            LoopError: The process of a job has ended in each attempt, and there is no `lost`.
-            Exception: An exception of `function` or `make_context`, when the result is read.
+        If the process of a job has ended in each of three attempts, `lost` makes the job's result;
+        without `lost`, this raises a LoopError. An exception of `function` or `make_context` is
+        raised when the result is read.
         """
         work = function if tells else partial(_without_reports, function)
         sent: SimpleQueue[tuple[int, float]] = SimpleQueue()  # number and finished share of a job
         futures: list[Future[Result]] = []
+        shares = [0.0] * len(jobs)
 
         def send(number: int, share: float) -> None:
             sent.put((number, share))
-
-        if self._processes > 1:
-            for number, job in enumerate(jobs):
-                tell = partial(send, number)
-                futures.append(self._threads.submit(self._ask, work, job, tell, lost))
-                futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
-        return self._results(work, jobs, futures, sent, on_progress)
-
-    def _results(
-        self,
-        work: Callable[..., Result],
-        jobs: Sequence[Any],
-        futures: Sequence[Future[Result]],
-        sent: SimpleQueue[tuple[int, float]],
-        on_progress: OnProgress,
-    ) -> Iterator[Result]:
-        """Yield the results of the futures; without futures, run the jobs here."""
-        shares = [0.0] * len(jobs)
 
         def take(number: int, share: float) -> None:
             shares[number] = max(shares[number], min(share, 1.0))
             on_progress(sum(shares) / len(shares))
 
-        try:
-            for number, future in enumerate(futures):
-                while shares[number] < 1.0:
-                    with suppress(Empty):
-                        take(*sent.get(timeout=_LOOK_EVERY))
-                yield future.result()
-        finally:
-            for future in futures:
-                future.cancel()
-        for number, job in enumerate(jobs[len(futures) :]):
-            if self._own is None:
-                self._own = self._make_context()
-            result = work(self._own, job, partial(take, number))
-            take(number, 1.0)
-            yield result
+        def results() -> Iterator[Result]:
+            try:
+                for number, future in enumerate(futures):
+                    while shares[number] < 1.0:
+                        with suppress(Empty):
+                            take(*sent.get(timeout=_LOOK_EVERY))
+                    yield future.result()
+            finally:
+                for future in futures:
+                    future.cancel()
+            for number, job in enumerate(jobs[len(futures) :]):  # without processes
+                if self._own is None:
+                    self._own = self._make_context()
+                result = work(self._own, job, partial(take, number))
+                take(number, 1.0)
+                yield result
+
+        for number, job in enumerate(jobs if self._processes > 1 else ()):
+            tell = partial(send, number)
+            futures.append(self._threads.submit(self._ask, work, job, tell, lost))
+            futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
+        return results()
 
     def _ask(
         self,

@@ -34,8 +34,6 @@ _CANCEL_EVERY = 0.1  # [s] time between two checks of the event that cancels
 _PATIENCE = 2.5  # [s] time in which a process can clean up before it is killed
 _BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
 """Code of a child's interpreter: it copies the parent's `sys.path`, then imports this module."""
-_running: set[Child] = set()
-"""Processes of `run_in_process`, which end when this process exits."""
 
 
 class Cancelled(DbbError):  # noqa: N818 - a person's choice, not an error
@@ -141,24 +139,29 @@ def run_in_process(
 ) -> Any:
     """Run `work(report, *args)` in a `Child`, and return the result.
 
-    This process calls its own `report` with each report of `work`. The event `cancelled` ends the
-    child and all its children. `niceness`, 0 to 19, is added to the child's niceness.
-
-    Raises:
-        Cancelled: `cancelled` was set.
-        EndedError: The process ended without a result.
-        Exception: The exception of `work`, with its traceback as the cause.
+    This process calls its own `report` with each report of `work`. `niceness`, 0 to 19, is added to
+    the child's niceness. The event `cancelled` ends the child and all its children, and this raises
+    Cancelled. If the child ends without a result, this raises an EndedError. An exception of `work`
+    is raised here, with its traceback as the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
-    _running.add(child)
+    atexit.register(child.end)  # if this process exits in the meantime
     try:
-        outcome = _receive(child.receiver, report, cancelled)
-        status = child.ended(_PATIENCE)
-        if outcome is None:
-            raise EndedError(f"the process of this work ended with status {status}")
-        return outcome.value()
+        while not cancelled.is_set():
+            if not child.receiver.poll(_CANCEL_EVERY):
+                continue
+            try:
+                received = child.receiver.recv()
+            except (EOFError, OSError):
+                status = child.ended(_PATIENCE)
+                raise EndedError(f"the process of this work ended with status {status}") from None
+            if isinstance(received, Outcome):
+                child.ended(_PATIENCE)
+                return received.value()
+            report(*received)
+        raise Cancelled("cancelled")
     finally:
-        _running.discard(child)
+        atexit.unregister(child.end)
         child.end()
 
 
@@ -188,26 +191,6 @@ def begin(receiver: int, sender: int, leads_group: bool) -> None:
         taken = stack.enter_context(Connection(sender, readable=False))
         work, args = pickle.loads(given.recv_bytes())
         work(given, taken, *args)
-
-
-def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -> Outcome | None:
-    while not cancelled.is_set():
-        if not receiver.poll(_CANCEL_EVERY):
-            continue
-        try:
-            received = receiver.recv()
-        except (EOFError, OSError):
-            return None
-        if isinstance(received, Outcome):
-            return received
-        report(*received)
-    raise Cancelled("cancelled")
-
-
-@atexit.register
-def _end_all() -> None:
-    for child in tuple(_running):
-        child.end()
 
 
 def _run(

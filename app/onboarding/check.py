@@ -125,9 +125,9 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
     """Compare M and C q̇ + g of pinocchio and of an engine; warn if the engine is not installed."""
     if not find_spec(name):
         return Row(name, "warned", f"{name} is not installed; try: pip install {name}", {})
-    from app.simulation.plants.planar import planar_plant
+    from app.simulation.plants.planar import Planar
 
-    engine = planar_plant(name, model)
+    engine = Planar(name, model)
     rng, state, n_b = np.random.default_rng(0), RobotState(model), model.n_b
     worst = {"M_difference": 0.0, "nle_difference": 0.0}
     with closing(engine):
@@ -151,7 +151,7 @@ def engines_row(model: RobotModel) -> Row:
     if missing := [name for name in ("pybullet", "mujoco") if not find_spec(name)]:
         text = f"{missing[0]} is not installed, so there is no second engine for a comparison"
         return Row("engines", "warned", text, {})
-    from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
+    from app.simulation.plants.planar import SAME_DEPTH, SAME_PICTURE, compare_engines
 
     found = compare_engines(model)
     good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH

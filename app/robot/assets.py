@@ -1,7 +1,4 @@
-"""Files of robots: their folders, URDFs and meshes, packages with meshes, the folder of borders.
-
-A file of an installed package has the address `package://PACKAGE/PATH`.
-"""
+"""Files of robots: folders, URDFs, meshes, packages with meshes, and the folder of borders."""
 
 import codecs
 import importlib.util
@@ -57,8 +54,8 @@ def cache_folder() -> Path:
 def user_robots() -> list[Path]:
     """Folders that have the user's robots as subfolders; the dashboard adds robots to the first.
 
-    `$DBB_ROBOTS` lists them. An empty entry, or an unset variable, means the folder `robots` in the
-    user's data folder or, without a home, in `cache_folder`.
+    They are the entries of `$DBB_ROBOTS`. An empty entry, or an unset variable, means the folder
+    `robots` in the user's data folder or, without a home, in `cache_folder`.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
     return [home_expanded(entry) if entry else usual for entry in _entries()]
@@ -82,10 +79,7 @@ def robot_names() -> list[str]:
 
 
 def check_robot_name(name: str) -> None:
-    """Raise an UnknownNameError if a robot does not exist.
-
-    The message lists the existing robots, and states the first unusable folder of `$DBB_ROBOTS`.
-    """
+    """Raise an UnknownNameError if a robot does not exist; the message has `wrong_folders`."""
     try:
         check_name("robot", name, robot_names())
     except UnknownNameError as error:
@@ -127,11 +121,8 @@ def _folders(name: str) -> list[Path]:
 
 
 def resolve_package_uri(uri: str) -> Path:
-    """The file of `package://PACKAGE/PATH` in an installed package; see `package_roots`.
-
-    Raises:
-        AssetError: The address has a different form, the package is not installed or lacks the
-            file, or the path leads out of the package.
+    """The file of `package://PACKAGE/PATH` in one of the `package_roots`; an AssetError if there is
+    none, the address has a different form, or the path leads out of the package.
     """
     scheme, _, rest = uri.partition("://")
     package, _, inner = rest.partition("/")
@@ -151,19 +142,16 @@ def resolve_package_uri(uri: str) -> Path:
 
 
 def followed(path: Path) -> Path:
-    """A file's path without symbolic links.
-
-    A link to a file with another ending stays a link: readers select the format by the ending.
+    """A file's path without symbolic links, except for a link to a file with another ending:
+    readers select the format by the ending.
     """
     full = path.resolve()
     return full if full.suffix == path.suffix else path.parent.resolve() / path.name
 
 
 def package_roots(package: str) -> list[Path]:
-    """Folders of an installed package: those of the Python package, then those in `share_folders`.
-
-    The list is empty if the package is not installed. A folder in the current directory does not
-    count, unless `sys.path[1:]` has this directory.
+    """Folders of an installed package, empty if it is not installed: those of the Python package,
+    except in a current directory that is not in `sys.path[1:]`, then those in `share_folders`.
     """
     spec = None
     if package.isidentifier() and package != "__main__":  # which has no folder
@@ -189,8 +177,7 @@ class HasUrdf(Protocol):
     """The part of a robot's description that states the place of the URDF."""
 
     name: str
-    urdf: str
-    """Path of the URDF in the folder of the robot `name`, or its `package://` address."""
+    urdf: str  # path of the URDF in the folder of the robot `name`, or its `package://` address
 
 
 def urdf_path(description: HasUrdf) -> Path:
@@ -213,12 +200,8 @@ _ZERO_INERTIAL = (
 
 
 def resolved_urdf(description: HasUrdf) -> str:
-    """The robot's URDF (`read_urdf`) with the absolute path of each mesh.
-
-    Raises:
-        AssetError: The URDF or one of its meshes is missing, or a mesh with a relative path is
-            outside of the URDF's folder.
-        DescriptionError: As for `read_urdf`.
+    """The robot's URDF (`read_urdf`) with the absolute path of each mesh; an AssetError also if a
+    mesh is missing, or if its relative path leads out of the URDF's folder.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
@@ -228,10 +211,7 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The robot's URDF with the `file://` address of each mesh, without shapes of missing meshes.
-
-    The errors are those of `read_urdf`.
-    """
+    """The URDF (`read_urdf`) with `file://` addresses of its meshes, without missing ones."""
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link, shape in shapes_of(tree):
         if (mesh := shape.find("geometry/mesh")) is not None:
@@ -263,10 +243,8 @@ def shapes_of(tree: ElementTree.Element) -> list[tuple[ElementTree.Element, Elem
 def read_urdf(description: HasUrdf) -> ElementTree.Element:
     """The robot's URDF; a link without an inertia gets mass and inertia 0 (pybullet assumes 1 kg).
 
-    Raises:
-        AssetError: The file is missing.
-        DescriptionError: The file cannot be read, `xml_text` refuses it, or it has more than 200
-            moving joints.
+    Raises an AssetError if the file is missing, and a DescriptionError if it cannot be read,
+    `xml_text` refuses it, or it has more than 200 moving joints.
     """
     path = urdf_path(description)
     try:
@@ -315,10 +293,8 @@ def stated_stl(begin: bytes) -> tuple[int, int]:
 def xml_text(path: Path) -> str:
     """The text of a valid XML file: UTF-16 by its first bytes, or the declared encoding, or UTF-8.
 
-    Raises:
-        RobotFileError: The file is a placeholder or of another kind, is too large, cannot be
-            decoded, or as for `refuse_entities`.
-        OSError: The file cannot be read.
+    A RobotFileError means that the file is a placeholder or of another kind, is too large or cannot
+    be decoded, or that `refuse_entities` refuses the text; an OSError, that it cannot be read.
     """
     try:
         content = content_of(path)
@@ -343,14 +319,11 @@ def xml_text(path: Path) -> str:
 
 
 def refuse_entities(content: bytes | str, path: Path) -> None:
-    """Refuse XML that a parser of trees could not read safely.
+    """Raise a RobotFileError if the XML of a file `path` is not safe for a parser of trees.
 
-    `content` is bytes in their declared encoding, or text, whose declared encoding is ignored;
-    `path` is the name of the file in the message.
-
-    Raises:
-        RobotFileError: The XML declares an entity, as in a "billion laughs" attack; nests deeper or
-            has more elements or attributes than any robot; or is not well-formed.
+    Unsafe XML declares an entity, as in a "billion laughs" attack, nests deeper or has more
+    elements or attributes than any robot, or is not well-formed. `content` is bytes in their
+    declared encoding, or text, whose declared encoding is ignored.
     """
 
     def refuse(name: str, *_: object) -> NoReturn:
@@ -401,10 +374,7 @@ def _mesh(reference: str, folder: Path) -> Path:
 
 
 def planar_urdf(description: HasUrdf) -> str:
-    """The `resolved_urdf` on a root with two prismatic joints (x, y) and a revolute one (yaw).
-
-    It is for pybullet, which has no planar joint. The errors are those of `resolved_urdf`.
-    """
+    """The `resolved_urdf` on a root with two prismatic joints (x, y) and a revolute one (yaw)."""
     text = resolved_urdf(description)
     parts = [f'<link name="{name}">{_ZERO_INERTIAL}</link>' for name in PLANAR_LINKS]
     ends = pairwise((*PLANAR_LINKS, root_link(text)))

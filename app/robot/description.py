@@ -29,19 +29,16 @@ from app.strict import (
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
-KINDS: dict[str, type[BaseKind]] = {}
-"""Kinds of base for descriptions, by their name in `kind`."""
+KINDS: dict[str, type[BaseKind]] = {}  # kinds of base for descriptions, by their name in `kind`
 
 
 class ArmDescription(Sourced):
     """The manipulator: its joints from the base outwards, its limits and its end-effector."""
 
-    mount_link: str
-    """URDF link whose origin is the arm's mount: `p_base` of (9)."""
+    mount_link: str  # URDF link whose origin is the arm's mount: `p_base` of (9)
     joints: tuple[str, ...] = Field(min_length=1)
     """Names of the URDF's joints, from the base outwards."""
-    end_effector_link: str
-    """URDF link that carries the end-effector."""
+    end_effector_link: str  # URDF link that carries the end-effector
     end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
     """[m] origin of the end-effector's frame in the frame of `end_effector_link`."""
     end_effector_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
@@ -77,12 +74,9 @@ class ArmDescription(Sourced):
 class BodyDescription(Strict):
     """One link l_• of Figure 2b: a union of convex shapes that encloses some URDF links."""
 
-    source: str
-    """Source of the shapes."""
-    name: Name
-    """Name, as in the pair `lm-lEE`."""
-    frame: str
-    """URDF link in whose frame the shapes are."""
+    source: str  # source of the shapes
+    name: Name  # name, as in the pair `lm-lEE`
+    frame: str  # URDF link in whose frame the shapes are
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
     """URDF links that this body represents in distances and contacts. It encloses them, except for
@@ -95,12 +89,9 @@ class BodyDescription(Strict):
 class ReachabilityDescription(Sourced):
     """The coefficients A, B and C of (9) for one body of the arm."""
 
-    A_per_m2: Positive
-    """[1/m²]"""
-    B_m: Positive
-    """[m]"""
-    C: Positive
-    """[-]"""
+    A_per_m2: Positive  # [1/m²]
+    B_m: Positive  # [m]
+    C: Positive  # [-]
 
 
 class LinePlace(Sourced):
@@ -108,26 +99,22 @@ class LinePlace(Sourced):
 
     start_m: Vector3
     """[m] start of the end-effector in the world; the base is at the origin and faces +x."""
-    move_m: Vector3
-    """[m] displacement of the end-effector in the world."""
+    move_m: Vector3  # [m] displacement of the end-effector in the world
 
 
 class RobotDescription(Strict):
     """All data of a robot that the method uses.
 
-    `bodies` are in the order of the kinematic chain; the mobile base l_m is first. Two neighbours
-    in this order are connected by a joint and are never a pair.
+    `bodies` are in the order of the kinematic chain, with the mobile base l_m first. Neighbours are
+    connected by a joint and never a pair.
     """
 
     name: Name
-    title: str
-    """Displayed title."""
+    title: str  #: displayed title
     urdf: str
     """The robot's URDF: a file in the folder of the description, or an address in a package."""
-    licence: str
-    """Licences of the assets that the URDF refers to."""
-    base: SerializeAsAny[BaseKind]
-    """The base, of one of `KINDS`."""
+    licence: str  #: licences of the assets that the URDF refers to
+    base: SerializeAsAny[BaseKind]  #: the base, of one of `KINDS`
     arm: ArmDescription
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
     reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
@@ -140,8 +127,7 @@ class RobotDescription(Strict):
     unwatched: dict[str, str] = Field(default_factory=dict)
     """Reasons why pairs of bodies are not monitored, by the pair's name, such as `lm-l2`.
     Neighbours are never monitored."""
-    config: Config = Config()
-    """Parameters whose default differs for this robot, such as its d_b."""
+    config: Config = Config()  #: parameters whose default differs for this robot, such as its d_b
 
     @model_validator(mode="after")
     def _names_agree(self) -> Self:
@@ -155,8 +141,8 @@ class RobotDescription(Strict):
             )
         for body in self.bodies:
             foreign = {link for other in self.bodies if other != body for link in other.covers}
-            unknown = body.nested.keys() - set(body.covers)
-            if unknown := unknown | set(chain(*body.nested.values())) - foreign:
+            others = set(chain(*body.nested.values())) - foreign
+            if unknown := (body.nested.keys() - set(body.covers)) | others:
                 raise ValueError(
                     f"bodies.{body.name}.nested: {', '.join(sorted(unknown))}: the keys must be "
                     "links that this body covers, the values links that other bodies cover"
@@ -198,8 +184,8 @@ class RobotDescription(Strict):
 def register_base_kind(kind: type[BaseKind]) -> None:
     """Register a kind of base for descriptions: a record whose `kind` is a `Literal` of one name.
 
-    Raises a DescriptionError if the `Literal` has several names, another kind has the name, or the
-    kind lacks a definition that `BaseKind` demands.
+    Raises a DescriptionError for several names, for another kind's name, or if the kind lacks a
+    definition.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
@@ -229,11 +215,8 @@ def differential(description: RobotDescription) -> DifferentialBase:
 
 
 def load_description(path: Path) -> RobotDescription:
-    """Read and validate a description file.
-
-    Raises:
-        DescriptionError: The file is missing, unreadable or not TOML, or a field is missing,
-            unknown or invalid; the message names the file, the field and the valid values.
+    """Read and validate a description file; a DescriptionError names the file, and the invalid
+    field with its valid values.
     """
     try:
         return RobotDescription.model_validate(from_toml(file_text(path)))
@@ -253,10 +236,8 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by the name of its folder.
-
-    A different `name` in the file is ignored: the folder can be a copy of another robot's folder.
-    Errors: those of `check_robot_name` and `load_description`.
+    """The description of a robot by its folder's name, which replaces `name` in the file; raises
+    the errors of `check_robot_name` and `load_description`.
     """
     check_robot_name(name)
     description = load_description(robot_folder(name) / "robot.toml")

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from app.robot.model import RobotModel
 from app.robot.state import ShapeDistances
-from app.strict import Array
+from app.strict import Array, Finite, NonNegative
 
 
 class Pair(NamedTuple):
@@ -29,45 +29,32 @@ class ClosestPoints(NamedTuple):
     """The closest points of one link pair <a, b> in the world: the result of FindClosestPoints."""
 
     pair: Pair
-    d: float
-    """[m] signed distance, negative in penetration."""
-    p_a: Array
-    """(3,) [m] closest point on `a`."""
-    p_b: Array
-    """(3,) [m] closest point on `b`."""
+    d: float  # [m] signed distance, negative in penetration
+    p_a: Array  # (3,) [m] closest point on `a`
+    p_b: Array  # (3,) [m] closest point on `b`
     n: Array
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] point of the core of `b` that belongs to p_b: p_b moved along n by the radius of `b`
-    around its core. It equals p_b where `b` is not round, and in the results of `PairDistances`."""
+    """(3,) [m] p_b, moved along n by the radius of `b` around its core where `b` is round. In the
+    results of `PairDistances`, it is p_b."""
     parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
-
-
-def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
-    """The closest points of a pair, with those of its parts in the field `parts`."""
-    return closest._replace(parts=parts)
 
 
 @dataclass(frozen=True)
 class LinkPairs:
     """The set L of (1), all pairs that can collide, split as in (2)."""
 
-    mobile: tuple[Pair, ...]
-    """L_m, the pairs of the mobile base and a body of the arm."""
-    manipulator: tuple[Pair, ...]
-    """L_m^c, the pairs of two bodies of the arm."""
-    never: tuple[Pair, ...]
-    """Pairs without a sample in collision."""
-    rates: dict[str, float] = field(hash=False)
+    mobile: tuple[Pair, ...]  # L_m, the pairs of the mobile base and a body of the arm
+    manipulator: tuple[Pair, ...]  # L_m^c, the pairs of two bodies of the arm
+    never: tuple[Pair, ...]  # pairs without a sample in collision
+    rates: dict[str, NonNegative] = field(hash=False)
     """Share of the samples in collision, by the name of the pair."""
-    least_distance_m: dict[str, float] = field(hash=False)
+    least_distance_m: dict[str, Finite] = field(hash=False)
     """[m] smallest sampled signed distance, by the name of the pair."""
-    samples: int
-    """Number of sampled joint positions."""
+    samples: int  # number of sampled joint positions
     seed: int
-    """Seed of the random joint positions."""
 
     @property
     def all(self) -> tuple[Pair, ...]:
@@ -76,14 +63,11 @@ class LinkPairs:
 
 
 class PairDistances(ShapeDistances):
-    """Distances and closest points of some pairs, by the collision library.
+    """Distances and closest points of some pairs, by the collision library; `update` or
+    `update_from` for each configuration comes before the other methods, except for `sampled`.
 
-    Call `update` or `update_from` for each configuration, then the other methods; `sampled` needs
-    no earlier call. The distance of a body of several shapes is that of its nearest shape.
-
-    Attributes:
-        pairs: The pairs, in the order of their indices.
-        data: pinocchio's data of the last `update`.
+    The distance of a body of several shapes is that of its nearest shape. `data` is pinocchio's
+    data of the last `update`.
     """
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
@@ -129,7 +113,7 @@ class PairDistances(ShapeDistances):
             p_a, p_b = at.getNearestPoint1(), at.getNearestPoint2()
             n = at.normal.copy()  # unlike the points, it is a view
             found.append(ClosestPoints(self.pairs[i], at.min_distance, p_a, p_b, n, p_b))
-        return with_parts(*found)
+        return found[0]._replace(parts=tuple(found[1:]))
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
         """The result for the two nearest shapes of the i-th pair; the next update overwrites it."""
@@ -141,9 +125,8 @@ def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
 
 
 def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:
-    """All monitored pairs of bodies that are not neighbours in the chain, in the order of (1).
-
-    They are sorted by `a`, from the base outwards, then by `b`, from the end-effector inwards.
+    """All monitored pairs of bodies that are not neighbours in the chain, in the order of (1): by
+    `a`, from the base outwards, then by `b`, from the end-effector inwards.
     """
     names = model.body_names
     pairs = (Pair(a, b) for i, a in enumerate(names) for b in names[: i + 1 : -1])
@@ -169,7 +152,8 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
     names = [pair.name for pair in pairs]
     rates = dict(zip(names, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
     least = dict(zip(names, distances.min(axis=0).tolist(), strict=True))
-    mobile = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a == lm)
-    manipulator = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a != lm)
-    never = tuple(pair for pair in pairs if rates[pair.name] == 0)
+    met = [pair for pair in pairs if rates[pair.name] > 0]
+    mobile = tuple(pair for pair in met if pair.a == lm)
+    manipulator = tuple(pair for pair in met if pair.a != lm)
+    never = tuple(pair for pair in pairs if pair not in met)
     return LinkPairs(mobile, manipulator, never, rates, least, samples, seed)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, wraps
-from typing import TYPE_CHECKING, Concatenate, Literal, ParamSpec, TypeVar
-from weakref import WeakKeyDictionary
+from functools import cached_property, lru_cache, wraps
+from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar, cast
+from weakref import WeakKeyDictionary, ref
 
 import numpy as np
 import pinocchio as pin
@@ -59,11 +59,9 @@ class RobotModel:
     def __init__(self, description: RobotDescription) -> None:
         """Compile a description.
 
-        Raises:
-            AssetError: The URDF is missing, or as for `ConvexMesh.hull`.
-            DescriptionError: pinocchio cannot read the URDF, or it lacks a joint or link. The arm's
-                joints are not in the order of the chain, or one is continuous. A speed or torque
-                limit is not above zero, or the ready position is not within the position limits.
+        Raises the errors of `ConvexMesh.hull`, and a DescriptionError if pinocchio cannot read the
+        URDF, a joint or link is missing or unsuitable, a limit is invalid, or the ready position is
+        outside of the limits.
         """
         self.description = description
         full = whole_model(description)
@@ -107,10 +105,8 @@ class RobotModel:
         return np.array([x, y, math.cos(phi), math.sin(phi), *q_m])
 
     def joint_positions(self, q_m: Array, angles: Sequence[float] | Array) -> dict[str, float]:
-        """Positions [rad or m] by joint name, from q_m (n_m,) and wheel angles (n_w,) [rad].
-
-        The angles belong to the base's `wheels`. They grow when the base rolls forward or steers to
-        the left, for both directions of a joint's axis.
+        """Positions [rad or m] by joint name, from q_m (n_m,) and the angles (n_w,) [rad] of the
+        base's `wheels`, which grow when the base rolls forward or steers to the left.
         """
         signs, arm = self._wheel_signs, self.description.arm
         pairs = zip(self.description.base.wheels, angles, strict=True)
@@ -118,10 +114,7 @@ class RobotModel:
         return dict(zip(arm.joints, map(float, q_m), strict=True)) | turned
 
     def joint_inertia(self, q: Array) -> Array:
-        """(n_m,) [kg m² or kg] inertia of each joint at pinocchio's configuration q.
-
-        The base and the other joints are free to move.
-        """
+        """(n_m,) [kg m² or kg] inertia of each joint at configuration q; all others are free."""
         return 1.0 / np.diag(np.linalg.inv(self.mass_matrix(q, self.pin.createData())))[3:]
 
     def mass_matrix(self, q: Array, data: pin.Data) -> Array:
@@ -145,10 +138,7 @@ class RobotModel:
     def placed_meshes(
         self, base_pose: Sequence[float] | Array, q_m: Array
     ) -> list[tuple[str, trimesh.Trimesh]]:
-        """The meshes of all shapes of the bodies, in the world, each with its body's name.
-
-        `base_pose` is (x, y, φ) [m, m, rad], `q_m` (n_m,) are the arm's joint positions.
-        """
+        """The meshes of all shapes of the bodies, in the world, each with its body's name."""
         data, placed = self.pin.createData(), pin.GeometryData(self.geometry)
         q = self.configuration(base_pose, q_m)
         pin.updateGeometryPlacements(self.pin, data, self.geometry, placed, q)
@@ -224,24 +214,21 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
 
 
 def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
-    """A decorator that caches the latest `most` results of a function of a model, for each model.
+    """A decorator that caches the `most` results of a function that were used last, for each model.
 
-    Callers share a result and must not change it. The other arguments must be hashable. A result
-    must not refer to the model: otherwise neither of the two would ever be freed.
+    Callers share a result and must not change it. The other arguments must be hashable, and a
+    result must not refer to the model: otherwise neither of the two would ever be freed.
     """
 
     def keep(function: OfModel[Options, Result]) -> OfModel[Options, Result]:
-        kept: WeakKeyDictionary[RobotModel, dict[object, Result]] = WeakKeyDictionary()
+        kept: WeakKeyDictionary[RobotModel, Callable[..., Result]] = WeakKeyDictionary()
 
         @wraps(function)
         def asked(model: RobotModel, *args: Options.args, **kwargs: Options.kwargs) -> Result:
-            known, key = kept.setdefault(model, {}), (args, tuple(sorted(kwargs.items())))
-            if key in known:
-                return known[key]
-            result = known[key] = function(model, *args, **kwargs)
-            if len(known) > most:
-                known.pop(next(iter(known)), None)
-            return result
+            if model not in kept:
+                of = ref(model)  # not the model: its cache must not keep it alive
+                kept[model] = lru_cache(most)(lambda *a, **k: function(cast("Any", of()), *a, **k))
+            return kept[model](*args, **kwargs)
 
         return asked
 
@@ -249,10 +236,8 @@ def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Op
 
 
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
-    """[m] upper bound of the distance between the two ends of a chain of joints.
-
-    `links` are the poses of the chain's frames, each in the frame before it. `slides` (2, k) [m]
-    are the lower and upper limits of the prismatic joints.
+    """[m] upper bound of the distance between the ends of a chain of joints with the poses `links`,
+    each in the frame before it, and the limits `slides` (2, k) [m] of its prismatic joints.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())
@@ -267,10 +252,7 @@ def whole_model(description: RobotDescription) -> pin.Model:
 
 
 def configured(whole: pin.Model, positions: Mapping[str, float]) -> Array:
-    """The configuration of a model with some joints at positions [rad or m], the others at zero.
-
-    pinocchio represents a continuous joint, such as a wheel, as a point on the unit circle.
-    """
+    """The configuration of a model with some joints at positions [rad or m], the others at zero."""
     moved = np.zeros(whole.nv)
     for name, position in positions.items():
         moved[whole.joints[whole.getJointId(name)].idx_v] = position
@@ -292,13 +274,12 @@ def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, fl
 def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
     """The model with all joints except the arm's locked at zero."""
     names = list(full.names)[2:]  # after "universe" and the root joint
-    wanted = {"arm.joints": description.arm.joints}
-    wanted |= {f"base.{wheels.field}": wheels.joints for wheels in description.base.wheels}
-    for field, joints in wanted.items():
-        for name in joints:
-            if name not in names:
-                text = f"{field}: the URDF has no moving joint {name!r}; joints: {', '.join(names)}"
-                raise _error(description, text)
+    wanted = [("arm.joints", name) for name in description.arm.joints]
+    wanted += [(f"base.{each.field}", n) for each in description.base.wheels for n in each.joints]
+    for field, name in wanted:
+        if name not in names:
+            text = f"{field}: the URDF has no moving joint {name!r}; joints: {', '.join(names)}"
+            raise _error(description, text)
     locked = [full.getJointId(name) for name in names if name not in description.arm.joints]
     try:
         model = pin.buildReducedModel(full, locked, pin.neutral(full))
@@ -309,9 +290,6 @@ def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
         text = f"arm.joints: must be in the order of the chain: {', '.join(chain)}"
         raise _error(description, text)
     if model.nq != 4 + len(chain):
-        raise _error(
-            description,
-            "arm.joints: each must be revolute or prismatic; "
-            "write a continuous joint as revolute with wide limits",
-        )
+        text = "revolute or prismatic; write a continuous joint as revolute with wide limits"
+        raise _error(description, f"arm.joints: each must be {text}")
     return model

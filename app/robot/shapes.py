@@ -32,8 +32,7 @@ Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
 class _Placed(Strict):
     """A shape placed in the frame of its body."""
 
-    xyz_m: Vector3 = (0.0, 0.0, 0.0)
-    """[m] centre of the shape in the body's frame."""
+    xyz_m: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of the shape in the body's frame
     rpy_rad: Vector3 = (0.0, 0.0, 0.0)
     """[rad] fixed-axis roll, pitch and yaw of the shape in the body's frame."""
 
@@ -46,8 +45,7 @@ class Box(_Placed):
     """A box with its centre at `xyz_m`."""
 
     type: Literal["box"]
-    size_m: tuple[Positive, Positive, Positive]
-    """[m] full side lengths along x, y and z."""
+    size_m: tuple[Positive, Positive, Positive]  # [m] full side lengths along x, y and z
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Box(*self.size_m)
@@ -57,8 +55,7 @@ class Sphere(_Placed):
     """A sphere with its centre at `xyz_m`."""
 
     type: Literal["sphere"]
-    radius_m: Positive
-    """[m]"""
+    radius_m: Positive  # [m]
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Sphere(self.radius_m)
@@ -68,10 +65,8 @@ class Cylinder(_Placed):
     """A cylinder along z with its centre at `xyz_m`."""
 
     type: Literal["cylinder"]
-    radius_m: Positive
-    """[m]"""
-    length_m: Positive
-    """[m] full length along z."""
+    radius_m: Positive  # [m]
+    length_m: Positive  # [m] full length along z
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Cylinder(self.radius_m, self.length_m)
@@ -81,12 +76,9 @@ class Capsule(Strict):
     """All points within `radius_m` of the segment from `start_m` to `end_m`."""
 
     type: Literal["capsule"]
-    start_m: Vector3
-    """[m] one end of the segment in the body's frame."""
-    end_m: Vector3
-    """[m] the other end of the segment in the body's frame."""
-    radius_m: Positive
-    """[m]"""
+    start_m: Vector3  # [m] one end of the segment in the body's frame
+    end_m: Vector3  # [m] the other end of the segment in the body's frame
+    radius_m: Positive  # [m]
 
     @property
     def length_m(self) -> float:
@@ -110,17 +102,15 @@ class ConvexMesh(_Placed):
     """The convex hull of a mesh file."""
 
     type: Literal["convex_mesh"]
-    file: str
-    """`package://…` address of the mesh."""
+    file: str  # `package://…` address of the mesh
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
     """[-] factors of the mesh's coordinates, which are metres after the scaling."""
 
     def hull(self) -> trimesh.Trimesh:
-        """Read the file, and return the convex hull of its scaled vertices, in the shape's frame.
+        """The convex hull of the file's scaled vertices, in the shape's frame.
 
-        Raises:
-            AssetError: The file is missing, or reading exceeds the budget of `app.jobs.bounded`.
-            MissingExtraError: trimesh is not installed.
+        Raises an AssetError if the file is missing or reading exceeds the budget of
+        `app.jobs.bounded`, and a MissingExtraError if trimesh is not installed.
         """
         with extras_named():
             import trimesh  # slow, and possibly not installed
@@ -152,18 +142,14 @@ class Hull(_Placed):
 class Superquadric(_Placed):
     """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, or almost a box.
 
-    Its distances are those of a convex polytope of 3,458 vertices on its surface. They are too
-    large by less than 0.5 % of the longest semi-axis for exponents from 0.1 to 1, by less than 1 %
-    for exponents up to 2.
+    Its distances are those of a convex polytope of 3,458 vertices on its surface: too large by less
+    than 0.5 % of the longest semi-axis for exponents from 0.1 to 1, by less than 1 % up to 2.
     """
 
     type: Literal["superquadric"]
-    semi_axes_m: tuple[Positive, Positive, Positive]
-    """[m] half lengths along x, y and z."""
-    e1: Exponent
-    """[-] roundness from top to bottom: 1 is an ellipsoid, 0 would be a box."""
-    e2: Exponent
-    """[-] roundness in plan."""
+    semi_axes_m: tuple[Positive, Positive, Positive]  # [m] half lengths along x, y and z
+    e1: Exponent  # [-] roundness from top to bottom: 1 is an ellipsoid, 0 would be a box
+    e2: Exponent  # [-] roundness in plan
 
     def vertices(self) -> Array:
         """(N, 3) [m] corners of the polytope in the shape's own frame; read-only."""
@@ -174,9 +160,8 @@ class Superquadric(_Placed):
 
 
 def hull_mesh(points: Array) -> trimesh.Trimesh:
-    """The convex hull of points (N, 3) [m], its triangles facing outwards.
-
-    A hull without a volume, for example of points on a line, gets a thickness of 0.1 mm.
+    """The convex hull of points (N, 3) [m], its triangles facing outwards; a hull without a volume,
+    for example of points on a line, gets a thickness of 0.1 mm.
     """
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError
@@ -251,10 +236,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 
 
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """(…) [-] f of this module at points p (…, 3) [m] in a superquadric's frame; 1 on its surface.
-
-    `semi_axes` are a, b and c [m]; e1 and e2 are the exponents.
-    """
+    """(…) [-] f of this module at p (…, 3) [m] in the shape's frame; `semi_axes` are in m."""
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
     return _power_sum(_power_sum(x, y, e2 / 2), z, e1 / 2) ** (2 / e1)
 
@@ -276,11 +258,8 @@ def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, floa
 def polytope_vertices(
     semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
 ) -> Array:
-    """(6 intervals² + 2, 3) [m] points of a superquadric's surface, in its frame; read-only.
-
-    Rays from the centre through a grid on a cube's faces meet the surface at these points. The grid
-    is denser towards the edges, where a small exponent bends the surface most.
-    """
+    """(6 intervals² + 2, 3) [m] points of a superquadric's surface, in its frame; read-only."""
+    # Rays through a grid on a cube's faces; it is denser towards the edges, where a surface bends.
     s = np.sin(np.linspace(-0.5, 0.5, intervals + 1) * np.pi)
     u, v = (grid.ravel() for grid in np.meshgrid(s, s))
     ones = np.ones_like(u)

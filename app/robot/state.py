@@ -1,12 +1,11 @@
 """The robot's present state, computed once per step: kinematics and dynamics.
 
-The kernels use pinocchio's Jacobian of a serial chain on a planar base. Column k of `J`
-(6, 3 + n_m) is the twist that one unit of the k-th velocity gives to all bodies that this velocity
-moves. The first three rows are linear, at the origin of the world, and the last three are angular.
-Joint 1 is the planar base with the columns 0 to 2, and each joint moves all later joints. Thus a
-body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced velocities q̇_b of
-the base to its twist (v_x, v_y, ω_z). S and `J_m_inv` are those of `RobotModel`. Points p (3,) [m]
-are in the world.
+The kernels use pinocchio's Jacobian `J` (6, 3 + n_m) of a serial chain on a planar base. Column k
+is the twist that one unit of the k-th velocity gives to all bodies that this velocity moves:
+linear, at the origin of the world, then angular. Joint 1 is the planar base with the columns 0 to
+2, and a body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced velocities
+q̇_b of the base to its twist (v_x, v_y, ω_z). S and `J_m_inv` are those of `RobotModel`. Points p
+(3,) [m] are in the world.
 """
 
 import math
@@ -17,6 +16,7 @@ from typing import Any, NamedTuple
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
 
 from app.compiled import compiled, direct
 from app.errors import MeasurementError
@@ -32,13 +32,11 @@ _Vector = Array | tuple[float, float, float]
 class Measurement(NamedTuple):
     """The readings of the robot's sensors in one control step."""
 
-    base_pose: Array
-    """(3,) x, y [m] and heading φ [rad] of the base's centre in the world."""
+    base_pose: Array  #: (3,) x, y [m] and heading φ [rad] of the base's centre in the world
     base_velocity: Array
     """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base; NaN or
     None if it is not measured."""
-    q_m: Array
-    """(n_m,) [rad or m] the arm's joint positions."""
+    q_m: Array  #: (n_m,) [rad or m] the arm's joint positions
     qd_m: Array
     """(n_m,) [rad/s or m/s] the arm's joint velocities; NaN or None if they are not measured."""
     drive: Array = np.zeros(0)
@@ -53,9 +51,8 @@ class Measurement(NamedTuple):
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
-    """An array of floats from a caller's values; masked values become NaN.
-
-    Raises a MeasurementError if the values are not real numbers, or their count is not in `sizes`.
+    """An array of floats from a caller's values, with NaN for masked values; a MeasurementError if
+    they are not real numbers, or their count is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -74,11 +71,9 @@ def velocities(name: str, values: Any, size: int) -> Array:
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
-    """The measurement with arrays of floats; missing velocities are NaN.
-
-    Raises:
-        MeasurementError: The value is not a `Measurement`, a field has a wrong type or number of
-            values, a time is of single precision or not in seconds, or a time stamp has no `now`.
+    """The measurement with arrays of floats and NaN for missing velocities, or a MeasurementError
+    if a field has a wrong type or number of values, a time is of single precision or not in
+    seconds, or a stamp has no `now`.
     """
     if not isinstance(measurement, Measurement):
         fields, kind = ", ".join(Measurement._fields), type(measurement).__name__
@@ -94,14 +89,12 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         )
         if floats and times and shapes in model.reading_shapes:
             return measurement
-    times = (now, time, base_time)
-    now, *stamps = map(_seconds, ("now", "time", "base_time"), times)
-    for name, stamp in zip(("time", "base_time"), stamps, strict=True):
+    names = "now", "time", "base_time"
+    now, *stamps = map(_seconds, names, (now, time, base_time))
+    for name, stamp in zip(names[1:], stamps, strict=True):
         if stamp == stamp and now != now:
-            raise MeasurementError(
-                f"measurement.{name} needs measurement.now, the time of the control step by the "
-                "same clock"
-            )
+            text = "needs measurement.now, the time of the control step by the same clock"
+            raise MeasurementError(f"measurement.{name} {text}")
     return Measurement(
         numbers("measurement.base_pose", pose, 3),
         velocities("measurement.base_velocity", v, model.n_b),
@@ -122,9 +115,8 @@ def _seconds(name: str, value: Any) -> float:
         raise MeasurementError(f"measurement.{name} must be a float of 64 bits: {coarse}")
     found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
     if abs(found) >= _LATEST:
-        raise MeasurementError(
-            f"measurement.{name} must be seconds (not nanoseconds), was {value!r}"
-        )
+        text = f"must be seconds (not nanoseconds), was {value!r}"
+        raise MeasurementError(f"measurement.{name} {text}")
     return found
 
 
@@ -167,11 +159,10 @@ def _swept(v: _Vector, w: _Vector, p: _Vector) -> tuple[float, float, float]:
 
 @compiled()
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
-    """Twist of the body on each joint, at the origin of the world, and its derivative at q̈ = 0.
+    """Twists (2 + n_m, 6) of the bodies on all joints, at the origin of the world, and their
+    derivatives at q̈ = 0; the first row is the world's. v (3 + n_m,) is pinocchio's velocity.
 
-    Both are (2 + n_m, 6), by joint; the first row is the world's. v (3 + n_m,) is pinocchio's
-    velocity. The axes of each joint turn with its parent. The base's axes are fixed to the base, so
-    that its twist is constant at q̈ = 0.
+    The base's axes are fixed to the base, so that its twist is constant at q̈ = 0.
     """
     joints = J.shape[1] - 1
     twists, biases = np.zeros((joints, 6)), np.zeros((joints, 6))
@@ -236,26 +227,15 @@ def _in_reduced(rows: Array, B: Array) -> Array:
     return found
 
 
-@compiled()
-def _gravity_terms(J: Array, Y: Array) -> Array:
-    """The gravity terms (3 + n_m,) of pinocchio's velocities; Y is `Y_pin`.
-
-    Term k is the weight of all bodies that the k-th velocity moves, times the vertical velocity of
-    their centre of mass at one unit of the k-th velocity.
-    """
-    g = np.empty(J.shape[1])
-    for k in range(len(g)):
-        moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
-        g[k] = _GRAVITY * moved[0] * _column(J, k, moved[1:])[2]
-    return g
-
-
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:,:], f8[:,:])")
 def reduced_dynamics(
     M: Array, h: Array, J: Array, Y: Array, B: Array
 ) -> tuple[Array, Array, Array]:
     """Sᵀ M S (n, n), Sᵀ h and Sᵀ g (n,), S = diag(B, 1); M, h, J, Y are from `pinocchio_views`."""
-    n_b, g = B.shape[1], _gravity_terms(J, Y)
+    n_b, g = B.shape[1], np.empty(len(h))
+    for k in range(len(h)):  # the weight that the k-th velocity moves, by the motion of its centre
+        moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
+        g[k] = _GRAVITY * moved[0] * _column(J, k, moved[1:])[2]
     n = n_b + len(h) - 3
     reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     reduced[n_b:, n_b:], h_r[n_b:], g_r[n_b:] = M[3:, 3:], h[3:], g[3:]
@@ -293,17 +273,15 @@ def distance_motions(
     J_r = nᵀ(J_b − J_a) at the point `core` of l_b. n is fixed to l_a and points out of l_a, because
     the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a round link
     near a face: the normal of the face is constant while the closest points slide along the face,
-    and the point of the core does not move on the link. The additional term |v_⊥|²/d of the
-    distance of two fixed points would make the error of d̈ ten times as large.
+    and the point of the core does not move on the link. The term |v_⊥|²/d of the distance of two
+    fixed points would make the error of d̈ ten times as large.
 
-    `joints` (k, 2) are the indices of two joints: the first one moves the body with the normal, the
-    second one the body with the point. `at` (k, 3) [m] are the points, and `normals` (k, 3) unit
-    vectors, or shorter as in `ClosestPoints`, all in the world.
+    `joints` (k, 2) are the indices of the joints that move the bodies with the normal and with the
+    point. `at` (k, 3) [m] are the points, and `normals` (k, 3) unit vectors, or shorter as in
+    `ClosestPoints`, all in the world. The results are J_r (k, n), J̇_r q̇ (k,) [m/s²] with the
+    rotation of the normals, and J_r q̇ (k,) [m/s].
 
     Paper: Eq. (21).
-
-    Returns:
-        (k, n) J_r; (k,) [m/s²] J̇_r q̇, including the rotation of the normals; (k,) [m/s] J_r q̇.
     """
     count = len(joints)
     rows, accelerations, speeds = np.zeros((count, J.shape[1])), np.empty(count), np.empty(count)
@@ -328,31 +306,22 @@ def distance_motions(
     return _in_reduced(rows, B), accelerations, speeds
 
 
-@compiled()
-def tip_motion(
-    J: Array, B: Array, twists: Array, biases: Array, p: Array
-) -> tuple[Array, Array, Array]:
-    """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) on the last body.
-
-    All have linear, then angular rows, in axes of the world.
-    """
-    J_p, twist, bias = J.copy(), twists[-1], biases[-1]
-    for k in range(J.shape[1]):
-        J_p[0, k], J_p[1, k], J_p[2, k] = _column(J, k, p)
-    v, Jdqd = twist.copy(), bias.copy()
-    v[0], v[1], v[2] = point_velocity(twist, p)
-    Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twist, bias, p)
-    return _in_reduced(J_p, B), v, Jdqd
-
-
 @compiled(
     "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:], f8[:])"
 )
-def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """`chain_motion`, and `tip_motion` of a frame at p (3,)."""
+def tip_motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """`chain_motion`, and Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of the last body at p (3,).
+
+    The last three have linear, then angular rows, in axes of the world.
+    """
     twists, biases = chain_motion(J, v)
-    J_p, v_p, Jdqd = tip_motion(J, B, twists, biases, p)
-    return twists, biases, J_p, v_p, Jdqd
+    J_p, twist, bias = J.copy(), twists[-1], biases[-1]
+    for k in range(J.shape[1]):
+        J_p[0, k], J_p[1, k], J_p[2, k] = _column(J, k, p)
+    v_p, Jdqd = twist.copy(), bias.copy()
+    v_p[0], v_p[1], v_p[2] = point_velocity(twist, p)
+    Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twist, bias, p)
+    return twists, biases, _in_reduced(J_p, B), v_p, Jdqd
 
 
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
@@ -369,22 +338,23 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     world, of all bodies that each joint moves; pinocchio stores a mass before its centre.
     """
     joints, first = len(data.oMi), data.oMi[0].rotation
-    oMi = np.lib.stride_tricks.as_strided(first, (joints, 4, 3), (96, 24, 8))
+    oMi = as_strided(first, (joints, 4, 3), (96, 24, 8))
     last = data.oMi[joints - 1].translation
     assert (oMi[-1, 3] == last).all(), "pinocchio does not store placements as assumed here"
-    before = np.lib.stride_tricks.as_strided(data.oYcrb[0].lever, (joints, 2), (80, -8))[:, 1]
-    Y = np.lib.stride_tricks.as_strided(before, (joints, 4), (80, 8))
+    Y = as_strided(_before(data.oYcrb[0].lever, joints, 80), (joints, 4), (80, 8))
     of_last = data.oYcrb[joints - 1]
     as_read = np.array([of_last.mass, *of_last.lever])
     assert np.array_equal(Y[-1], as_read, equal_nan=True), "pinocchio stores masses in another way"
     return {"M_pin": data.M, "h_pin": data.nle, "J_pin": data.J, "Y_pin": Y, "oMi": oMi}
 
 
-def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Data for distances that depend on the poses of the bodies alone, not on former calls.
+def _before(vector: Array, count: int, size: int) -> Array:
+    """(count,) a view of the numbers before `vector` and before its successors, `size` bytes on."""
+    return as_strided(vector, (count, 2), (size, -8))[:, 1]
 
-    With pinocchio's own requests, each search would start at the result of the last search.
-    """
+
+def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
+    """Data for distances by the present poses alone: searches do not start at former results."""
     data = pin.GeometryData(geometry)
     for k in range(len(data.distanceRequests)):
         data.distanceRequests[k] = coal.DistanceRequest()
@@ -392,17 +362,15 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
+    """(k,) [m] a view of the signed distances in coal's results, which this call overwrites.
 
-    This call overwrites the distances. Reading the results one by one would take as long as
-    computing them. Each result stores its distance before its normal; all have the same size.
+    Reading the results one by one would take as long as computing them.
     """
     if len(results) == 0:
         return np.zeros(0)
     first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
     size = (last - first) // max(len(results) - 1, 1)
-    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
-    view = before[:, 1]
+    view = _before(results[0].normal, len(results), size)
     for k, each in enumerate(results):
         each.min_distance = float(k)
     assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
@@ -411,10 +379,8 @@ def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
 
 @compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
 def put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
-
-    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
-    `order` at which each group begins, then m.
+    """Write the smallest value of each group of `values` (n,) into the array `into` (k,): group i
+    has the values with the indices `order[firsts[i]:firsts[i + 1]]`.
     """
     for k in range(len(into)):
         into[k] = values[order[firsts[k]]]
@@ -428,9 +394,8 @@ _write_least = direct(put_least)
 class ShapeDistances:
     """Present signed distances of groups of pairs of shapes, by the collision library.
 
-    Attributes:
-        signed: (k,) [m] `distance_view` of all pairs of shapes.
-        order, firsts: The groups, as in `put_least`.
+    `signed` is the `distance_view` of all pairs; `order` and `firsts` are the groups, as in
+    `put_least`.
     """
 
     def __init__(
@@ -483,10 +448,9 @@ class RobotState:
         self.model = model
         self.data = model.pin.createData()
         # These are views of pinocchio's memory, because reading them again takes longer.
-        root, data = self.data.oMi[1], self.data
-        self.R_world_base, self.p_o = root.rotation, root.translation
-        views, self._J = pinocchio_views(data), data.J
-        self._dynamics = views["M_pin"], views["h_pin"], data.J, views["Y_pin"]
+        root, views = self.data.oMi[1], pinocchio_views(self.data)
+        self.R_world_base, self.p_o, self._J = root.rotation, root.translation, views["J_pin"]
+        self._dynamics = views["M_pin"], views["h_pin"], self._J, views["Y_pin"]
         self.pin, self._factor, self._load = model.pin, 1.0, pin.Inertia.Zero()
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
         self._shared = False
@@ -518,28 +482,22 @@ class RobotState:
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
-        """From the next update on, multiply the arm's masses and inertias by a factor [-].
-
-        The centres of mass stay the same. Links that are fixed to the base, such as the arm's first
-        link, and other states of the same model do not change.
+        """From the next update on, multiply the arm's masses and inertias by a factor [-], without
+        those of links that are fixed to the base.
         """
         self._factor = factor
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """From the next update on, the end-effector carries a point mass `mass` [kg].
-
-        It replaces a former one. `centre` (3,) [m] is its place in the end-effector's frame.
+        """From the next update on, the end-effector carries only a point mass `mass` [kg], at
+        `centre` (3,) [m] in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
         self._compile()
 
     def _compile(self) -> None:
-        """Make a separate pinocchio model if masses or inertias differ from those of the model.
-
-        A step in another thread uses the former model until the new one is complete.
-        """
+        """Make a model with other inertias; other threads use the former one in the meantime."""
         made, factor = self.model.pin, self._factor
         if factor != 1.0 or self._load.mass > 0.0:
             made = made.copy()
@@ -573,7 +531,7 @@ class RobotState:
         """Update `twists`, `biases` and the end-effector's arrays for pinocchio's v (3 + n_m,)."""
         T_ee = pin.updateFramePlacement(self.pin, self.data, self.model.ee_frame)
         R_ee, p_ee = T_ee.rotation.copy(), T_ee.translation.copy()
-        twists, biases, J_ee, v_ee, Jdqd_ee = _motion(self._J, self._B, v, p_ee)
+        twists, biases, J_ee, v_ee, Jdqd_ee = tip_motion(self._J, self._B, v, p_ee)
         self._store(R_ee=R_ee, p_ee=p_ee, J_ee=J_ee, v_ee=v_ee, Jdqd_ee=Jdqd_ee)
         self._store(twists=twists, biases=biases)
 
@@ -592,10 +550,6 @@ class RobotState:
     def point_velocity(self, joint: int, p_world: Array) -> Array:
         """(3,) [m/s] velocity of the point at `p_world` of the body on a joint."""
         return np.array(point_velocity(self.twists[joint], p_world))
-
-    def point_bias(self, joint: int, p_world: Array) -> Array:
-        """(3,) [m/s²] acceleration at q̈ = 0 of the point at `p_world` of the body on a joint."""
-        return np.array(point_bias(self.twists[joint], self.biases[joint], p_world))
 
     def distance_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:
         """`distance_motions` of points p (k, 3) [m] and normals n (k, 3) on joints (k, 2)."""

@@ -27,9 +27,8 @@ def unit_of(length: float) -> str:
 def origin(element: Element, where: str) -> pin.SE3:
     """The `<origin>` [m] of an element, or the identity; `where` begins the message of an error.
 
-    Raises:
-        RobotFileError: An attribute is not three numbers, or the unit of large numbers is probably
-            wrong: an angle exceeds 4π rad, or a coordinate 10 m.
+    Raises a RobotFileError if an attribute is not three numbers, an angle exceeds 4π rad or a
+    coordinate 10 m.
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
@@ -49,10 +48,8 @@ def origin(element: Element, where: str) -> pin.SE3:
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute `key`, or the default if element or attribute is missing.
-
-    Raises a RobotFileError, whose message begins with `where`, if the attribute does not have as
-    many finite numbers as the default.
+    """The numbers of an attribute `key`, or the default if element or attribute is missing; for
+    another count of finite numbers a RobotFileError, which begins with `where`.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -70,9 +67,8 @@ def without_commas(words: str) -> str:
 
 
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
-    """`rgba` of a visual's material or, without a colour, of its namesake in `materials`.
-
-    None if both lack a colour, or the visual has no material.
+    """`rgba` of a visual's material or, without a colour, of its namesake in `materials`; None if
+    both lack a colour, or the visual has no material.
     """
     if (material := visual.find("material")) is None:
         return None
@@ -99,11 +95,10 @@ def mesh_path(address: str) -> Path:
 
 
 def mesh_bytes(links: Iterable[Element]) -> int:
-    """[bytes] size of all mesh files of links, for `within_budget`; 0 without an existing file.
+    """[bytes] size of the mesh files of links, with the `.bin` files beside a `.gltf`; 0 without a
+    file, otherwise at least `SMALL` + 1: a few bytes can encode millions of triangles.
 
-    The size includes the `.bin` files in the folder of a `.gltf`. If a file exists, the size counts
-    as at least `SMALL` + 1: a few bytes can encode millions of triangles. Errors: those of
-    `resolve_package_uri`.
+    Errors: those of `resolve_package_uri`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}
@@ -118,12 +113,9 @@ def urdf_mesh(
 ) -> tuple[trimesh.Trimesh, float | None]:
     """A shape's triangles [m], and its radius [m]; the radius is None for a box or a mesh.
 
-    `load` reads the triangles of a mesh file; `where` begins the message of an error.
-
-    Raises:
-        RobotFileError: The element is not a shape of a URDF, an attribute is missing or invalid, or
-            `load` raises this error.
-        AssetError: As for `resolve_package_uri`.
+    `load` reads the triangles of a mesh file. Raises the errors of `load` and
+    `resolve_package_uri`, and a RobotFileError, which begins with `where`, if element or attributes
+    are invalid.
     """
     if shape.tag != "mesh":
         return primitive(shape, where)

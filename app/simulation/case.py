@@ -52,7 +52,7 @@ class RunCase(Strict):
     @model_validator(mode="before")
     @classmethod
     def _drop_figures(cls, data: Any) -> Any:
-        """Drop the entry `figures`: earlier versions wrote the results of the run into the file."""
+        """Drop the results of the run, which earlier versions wrote."""
         return {k: v for k, v in data.items() if k != "figures"} if isinstance(data, dict) else data
 
     @field_validator("parameters")
@@ -98,9 +98,8 @@ class RunCase(Strict):
     def differences(self) -> list[str]:
         """A line if another version wrote the case, and one per unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
-        lines = []
-        if self.version != now:
-            lines.append(f"dbb {self.version} wrote the case; this is dbb {now}")
+        changed = f"dbb {self.version} wrote the case; this is dbb {now}"
+        lines = [changed] if self.version != now else []
         for path in sorted(own.keys() - known.keys()):
             lines.append(f"the parameter {path} no longer exists; its value was {own[path]}")
         for path in sorted(known.keys() - own.keys()):
@@ -126,8 +125,7 @@ class RunCase(Strict):
             check_robot_name(case.robot)
             check_name("controller", case.controller, CONTROLLERS)
             chosen_plant(case.physics)
-            case.scenario()
-            case.config()
+            case.spec()
         except ValidationError as error:
             raise CaseError(f"{where} is not a case: {explain(error, cls)}") from None
         except DbbError as error:

@@ -68,10 +68,9 @@ class People:
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
-        """Compute the pull of each person in one control step, and the forces on the robot. `holds`
-        has at most one hold of each person; a person without a hold releases the robot. If a person
-        holds another point than before, the spring of the new hold starts without stretch. An
-        invalid target raises a TargetError.
+        """The pull of each person in one control step, and their forces on the robot. `holds` has
+        at most one hold of each person; a person without a hold releases the robot. The spring
+        of a hold at a new point starts without force. An invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
@@ -92,17 +91,14 @@ class People:
 
 
 class PersonHand:
-    """The hand of a person during one hold of a point of the robot, at p_ee with velocity v_ee.
+    """A person's hand during one hold of a point of the robot, at p_ee with velocity v_ee.
 
     A hand without a mass exerts F = K (p - p_ee) - D v_ee on the held point, limited to f_max. p,
     the free end of the hand's spring, starts at p_ee and moves towards the latest target as a
-    critically damped point with limited speed; thus F has no steps, even if the target jumps. The
-    damper acts against the world: while p rests, the person only absorbs energy.
-
-    If the hand has a mass, F moves the mass, and the robot receives the force of the grip, a spring
-    and a damper between mass and robot. This force is smaller than F while F accelerates the mass,
-    equals F at rest, and is larger than F, possibly above f_max, while the robot stops the mass.
-    Such a hand, too, only absorbs energy while p rests.
+    critically damped point with limited speed, so F has no steps. If the hand has a mass, F moves
+    the mass, and the robot receives the force of the grip, a spring and a damper between mass and
+    robot. While the robot stops the mass, the grip's force exceeds F, and can exceed f_max. While p
+    rests, each hand only absorbs energy.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
@@ -117,10 +113,9 @@ class PersonHand:
         self._spring = np.array([*spring, self._dt])
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
-        """Compute the person's force (3,) [N] on the held point for one step, in the world.
-
-        `p_ee`, `v_ee` and `target` (3,) are position [m], velocity [m/s] and target [m] of the held
-        point; further entries of `v_ee` are not used. An invalid target raises a TargetError.
+        """Compute the person's force (3,) [N] on the held point for one step, in the world. `p_ee`
+        (3,) [m], `v_ee` (at least 3,) [m/s] and `target` (3,) [m] are position, velocity and target
+        of the point. An invalid target raises a TargetError.
         """
         force = np.empty(3)
         _pull_once(self.motion, checked_target(target), p_ee, v_ee, self._spring, force)
@@ -140,8 +135,8 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
-    """Check a person's target in the world, and return it as an array (3,) [m]. A target that is
-    not three finite numbers, below the floor, or beyond ±10 km raises a TargetError.
+    """A person's target in the world as an array (3,) [m]. A target that is not three finite
+    numbers, is below the floor, or is beyond ±10 km raises a TargetError.
     """
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
@@ -153,14 +148,13 @@ def checked_target(target: Sequence[float] | Array) -> Array:
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
-    """Check a held point in the frame of a link, and return it as an array (3,) [m]. A point that
-    is not three finite numbers, or more than 1 m from the link's origin, raises a TargetError.
+    """A held point in the frame of a link as an array (3,) [m]. A point that is not three finite
+    numbers, or is more than 1 m from the link's origin, raises a TargetError.
     """
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
-        raise TargetError(
-            f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
-        )
+        far = f"is farther than {_LINK_SIZE:g} m from its link's origin"
+        raise TargetError(f"the held point {far}: {point!r}")
     return place
 
 
@@ -188,13 +182,12 @@ def _shorten(vector: Array, longest: float) -> None:
 def _push_mass(
     x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the mass m of the hand for one step of m ẍ = F - G, by the implicit Euler rule.
+    """Move the mass m of the hand, `x` and `x_dot`, by one implicit Euler step of m ẍ = F - G.
 
-    F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x. G = k (x - p_ee) + c (ẋ - v_ee)
-    is the force of the grip, with stiffness k and damping c, on the robot. Both forces are those at
-    the end of the step, for a held point with constant velocity. K' and k in series have the
-    stiffness K of `PersonHand`. The rule is stable for every mass, spring and damper. `x` and
-    `x_dot` (3,) are changed in place; the result `force` (3,) is G.
+    F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x; G = k (x - p_ee) + c (ẋ - v_ee)
+    is the grip's force on the robot, written to `force`. Both are those at the end of the step, for
+    a held point with constant velocity. K' and k in series have the stiffness K of `PersonHand`.
+    The rule is stable for every mass, spring and damper.
     """
     stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)
@@ -215,13 +208,12 @@ def _push_mass(
 def _pull(
     motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the person's hand for one step, and compute its force (3,) [N] on the held point.
+    """Move the hand for one step, and write its force (3,) [N] on the held point to `force`.
 
-    The free end p of the hand's spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
-    `motion` (4, 3), which is changed in place, has p [m] and ṗ [m/s], then position and velocity of
-    the hand's mass. Before the first step, `motion` is NaN; without a mass, the mass's position
-    remains NaN. `spring` (5,) has the stiffness [N/m], the damping against the world [N s/m], the
-    largest force [N], the mass of the hand [kg] and the step [s].
+    The free end p of the spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed. `motion`
+    (4, 3), changed in place, is p [m], ṗ [m/s], x [m] and ẋ [m/s] of the mass; before the first
+    step all are NaN, without a mass x remains NaN. `spring` (5,) is K [N/m], D [N s/m], f_max [N],
+    the mass [kg] and the step [s].
     """
     p, v, x, x_dot = motion
     stiffness, damping, f_max, mass, dt = spring

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from typing import NamedTuple
 
 import numpy as np
@@ -53,10 +54,8 @@ class Camera(NamedTuple):
             reach = camera.distance * math.tan(self.fov / 2)
             aspect = self.width / self.height
             shift = middle[0] * reach * aspect * right + middle[1] * reach * up
-            camera = camera._replace(
-                target=camera.target + shift,
-                distance=camera.distance * float(half.max()) / (1 - 2 * margin),
-            )
+            distance = camera.distance * float(half.max()) / (1 - 2 * margin)
+            camera = camera._replace(target=camera.target + shift, distance=distance)
         return camera
 
     def matrices(self) -> tuple[Array, Array]:
@@ -102,14 +101,11 @@ class Photographer:
     def __init__(self, model: RobotModel) -> None:
         """Load the robot's visual meshes; raises the errors of `planar_urdf` and `BulletWorld`."""
         self._world = BulletWorld(planar_urdf(model.description), DT)
+        self.close = self._world.close
         self._client = self._world.client
         self._client.removeBody(self._world.floor)
         names = (*PLANAR_JOINTS, *model.description.arm.joints)
         self._joints = [self._world.joints[name] for name in names]
-
-    def close(self) -> None:
-        """End the client; a second call has no effect."""
-        self._world.close()
 
     def take(
         self,
@@ -127,13 +123,10 @@ class Photographer:
         positions = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, positions, strict=True):
             self._client.resetJointState(self._world.robot, joint, float(position))
-        bodies: list[int] = []
-        try:
-            bodies.extend(map(self._add, solids))
+        with ExitStack() as after:
+            for solid in solids:
+                after.callback(self._client.removeBody, self._add(solid))
             return self._render(camera)
-        finally:
-            for body in bodies:
-                self._client.removeBody(body)
 
     def _render(self, camera: Camera) -> Picture:
         view, projection = camera.matrices()

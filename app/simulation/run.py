@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
+from itertools import islice
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -30,38 +31,35 @@ def begin(
     """Make a session at the start of a setting; `robot` is the robot without a held door. This
     raises a TargetError if the posture is invalid, and the errors of `Session`.
     """
-    check_posture(setting.model, setting.q_m)  # before the plant loads
-    session = Session(
-        setting.model,
-        setting.data,
-        setting.config,
-        controller=controller,
-        physics=physics,
-        seed=seed,
-        plant=robot,
-        door=setting.door,
-    )
-    session.reset(setting.q_m, setting.base_pose)
+    model, data, base_pose, q_m, config, door = setting
+    check_posture(model, q_m)  # before the plant loads
+    session = Session(model, data, config, controller, physics, seed, plant=robot, door=door)
+    session.reset(q_m, base_pose)
     return session
 
 
 def steps_of(
-    run: RunSpec, model: RobotModel, data: BorderData
+    run: RunSpec,
+    model: RobotModel,
+    data: BorderData,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> Generator[tuple[Session, Step], None, None]:
     """Execute the control steps of a run; yield each step with the session after the step.
 
-    The session is closed after the last step, after an error, or when the iterator is closed. This
-    raises the errors of `Scenario.setting`, `begin`, `Scenario.driver` and `Session.step`.
+    `on_progress` is called every 100 steps with the simulated time [s]. The session is closed after
+    the last step, after an error, or when the iterator is closed. This raises the errors of
+    `Scenario.setting`, `begin`, `Scenario.driver` and `Session.step`.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)
     session = begin(setting, model, run.controller, run.physics, run.seed)
-    try:
+    with closing(session):
         driver = scenario.driver(session)
-        for _ in range(round(scenario.duration / DT)):
-            yield session, session.step(*driver(session))
-    finally:
-        session.close()
+        for k in range(round(scenario.duration / DT)):
+            step = session.step(*driver(session))
+            if k % 100 == 0:
+                on_progress(session.t)
+            yield session, step
 
 
 def run_from_spec(
@@ -73,23 +71,19 @@ def run_from_spec(
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
 ) -> RunResult:
-    """Execute a run and compute its figures of merit; raises the errors of `steps_of`.
-
-    `on_progress` is called every 100 steps with the simulated time [s], `on_step` after each
-    control step. With `drawn`, the trace has snapshots, which log files and the player need.
+    """Execute a run and compute its figures of merit; `on_progress` and errors as in `steps_of`.
+    `on_step` is called after each control step. With `drawn`, the trace has snapshots, which log
+    files and the player need.
     """
     scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)
     begun: float | None = None
-    steps = steps_of(run, model, data)
-    with gc_frozen(), closing(steps):
-        for k, (session, step) in enumerate(steps):
+    with gc_frozen(), closing(steps_of(run, model, data, on_progress)) as steps:
+        for session, step in steps:
             begun = begun or perf_counter() - step.duration
             recorder.add(session, step)
             if on_step is not None:
                 on_step(session, step)
-            if k % 100 == 0:
-                on_progress(session.t)
     assert begun is not None, "a scenario lasts at least one step"
     elapsed = perf_counter() - begun
     trace = recorder.trace()
@@ -131,18 +125,14 @@ def filmed(
 ) -> list[Snapshot]:
     """Execute a run until the latest of `times` [s]; return the snapshots at 50 Hz and at `times`.
     There must be at least one time; a time after the end of the run selects the run's last step.
-    `on_progress` is as in `run_from_spec`. This raises the errors of `steps_of`.
+    `on_progress` and the errors are as in `steps_of`.
     """
     scenario, snapshots = run.scenario, []
     last = round(scenario.duration / DT) - 1
     required = {min(round(t / DT), last) for t in times}
     about = {"scenario": scenario.name, "scenario_ends": scenario.duration}
-    with closing(steps_of(run, model, data)) as steps:
-        for k, (session, step) in enumerate(steps):
+    with closing(steps_of(run, model, data, on_progress)) as steps:
+        for k, (session, step) in enumerate(islice(steps, max(required) + 1)):
             if k % EVERY == 0 or k in required:
                 snapshots.append(make_snapshot(session, step, None, **about))
-            if k % 100 == 0:
-                on_progress(step.t)
-            if k == max(required):
-                break
     return snapshots

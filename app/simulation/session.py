@@ -89,19 +89,17 @@ class Session:
         model: RobotModel,
         data: BorderData,
         config: Config,
-        *,
         controller: str = "dbb",
         physics: str | None = None,
         seed: int = 0,
+        *,
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Start at rest in the robot's ready posture, with the base at the origin.
-
-        `model` is the robot of the controller, and by default also of the plant. If `model` has a
-        held object as an additional body, `plant` must be the robot without this object. `physics`
-        names the plant, by default `default_plant`; `seed` fixes all random numbers. The robot
-        holds any `door`. Raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
+        """Start at rest in the ready posture, with the base at the origin, in the plant `physics`,
+        by default `default_plant`. `model` is the robot of the controller. If `door` is held, it is
+        a body of `model`, and `plant` must be the robot without this body. `seed` fixes all random
+        numbers. This raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
         check_avoidance(model, data)
         self.model, self.data, self.config = model, data, config
@@ -117,12 +115,24 @@ class Session:
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self.reset(np.array(model.description.arm.ready_position))
 
-    def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
-        """Put the robot at rest, without people; restart the time and the random numbers. `q_m`
-        (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading [rad]
-        of the base, by default zero. An invalid posture raises a TargetError.
+    def reset(
+        self, q_m: Array, base_pose: Array | None = None, config: Config | None = None
+    ) -> None:
+        """Put the robot at rest, without people; restart the time and the random numbers.
+
+        `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
+        [rad] of the base, by default zero. `config` replaces all parameters, also
+        `disturbance.stated_period`. Before any change, this raises a TargetError if the posture is
+        invalid, or a ConfigError if the stated control period is too long for a gain.
         """
         check_posture(self.model, q_m)
+        if config is not None:
+            period, name = config.disturbance.stated_period, self.controller.name
+            check_gains(config, period)
+            if period != self._stated:
+                self.loop = ControlLoop(self.model, self.data, config, name=name, dt=period)
+                self._stated = period
+            self.configure(config)
         self.t = 0.0  # [s] simulated time
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.loop.reset()
@@ -135,23 +145,9 @@ class Session:
         self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)
 
-    def restart(self, config: Config, q_m: Array, base_pose: Array | None = None) -> None:
-        """Reset, as `reset`, with other parameters, including `disturbance.stated_period`. Before
-        any change, this raises a TargetError if the posture is invalid, or a ConfigError if the
-        stated control period is too long for a gain.
-        """
-        check_posture(self.model, q_m)
-        period, name = config.disturbance.stated_period, self.controller.name
-        check_gains(config, period)
-        if period != self._stated:
-            self.loop = ControlLoop(self.model, self.data, config, name=name, dt=period)
-            self._stated = period
-        self.configure(config)
-        self.reset(q_m, base_pose)
-
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on; `disturbance.stated_period` does not change.
-        If the control period is too long for a gain, this raises a ConfigError before any change.
+        """Use other parameters, except `disturbance.stated_period`, from the next step on. If the
+        control period is too long for a gain, this raises a ConfigError before any change.
         """
         self.loop.configure(config)
         self.config = config
@@ -204,8 +200,8 @@ class Session:
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
         loads = [load.push(state) for (*_, begins), load in self._loads.items() if self.t >= begins]
-        pushes = (*person.pushes, *loads)
-        self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
+        arriving = self._disturbances.arriving(command)
+        self.physics.step(u_a, arriving, person.hand, (*person.pushes, *loads))
         qd_b = state.qd[: self.model.n_b].tolist()
         self._wheel_angles = self._base.turned(self._wheel_angles, qd_b, truth.drive, DT)
         hand_force, contacts = person.hand if door is None else door.force, self.physics.contacts()
@@ -282,11 +278,9 @@ class Disturbances:
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)
         self._commands = deque(known[:1] * (late + 1 - len(known)) + known, late + 1)
-        self._sensor_late = round(config.sensor_delay / self._dt)
-        self._sent = deque(self._sent, self._sensor_late + 1)
-        self._sensor_every = max(round(config.sensor_period / self._dt), 1)
-        self._punctual = (self._sensor_late, self._sensor_every, config.dropped) == (0, 1, 0.0)
-        self._begins = round(config.begins / self._dt)
+        self._sent = deque(self._sent, round(config.sensor_delay / self._dt) + 1)
+        self._every = max(round(config.sensor_period / self._dt), 1)  # [-] steps
+        self._begins = round(config.begins / self._dt)  # [-] steps
 
     def reset(self) -> None:
         """Restart the random numbers from the seed, and forget all commands and readings."""
@@ -298,31 +292,28 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """The readings that the controller receives in a control step: `truth`, or disturbed ones.
-        Readings can be noisy, late or repeated, or have time stamps. With noise, `VelocityTracking`
-        computes the joint velocities from the noisy positions, as on a robot that has only
-        encoders. The base's sensors have no noise.
+        """The readings that the controller receives in a control step: `truth`, or noisy, late,
+        repeated or time-stamped ones. With noise, `VelocityTracking` computes the joint velocities
+        from the noisy positions. The base's sensors have no noise.
         """
-        sent = truth
-        if self._config.encoder_noise == 0.0:
+        config, sent = self._config, truth
+        if config.encoder_noise == 0.0:
             self._tracking = None
         else:
-            noise = self._config.encoder_noise * self._rng.standard_normal(len(truth.q_m))
-            q_m = truth.q_m + noise
+            q_m = truth.q_m + config.encoder_noise * self._rng.standard_normal(len(truth.q_m))
             if self._tracking is None:
                 self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
             sent = truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m))
         step, self._steps = self._steps, self._steps + 1
-        now = step * self._dt if self._config.time_stamps == "yes" else None
+        now = step * self._dt if config.time_stamps == "yes" else None
         sent = sent if now is None else sent._replace(time=now)
         self._sent.append(sent)
-        if self._punctual or step < self._begins:
+        if step < self._begins:
             self._seen = sent
         else:
-            due = step % self._sensor_every == 0
-            lost = self._config.dropped > 0.0 and self._rng.random() < self._config.dropped
-            if self._seen is None or (due and not lost):
-                self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
+            lost = config.dropped > 0.0 and self._rng.random() < config.dropped
+            if self._seen is None or (step % self._every == 0 and not lost):
+                self._seen = self._sent[0]  # the oldest reading, at most as old as the delay
         return self._seen if now is None else self._seen._replace(now=now)
 
     def arriving(self, command: Array) -> Array:

@@ -1,7 +1,5 @@
 """The page of a report: a self-contained HTML file of parts with text, pictures and tables."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -64,7 +62,7 @@ class Part(NamedTuple):
     tables: Sequence[Grid] = ()
     points: Sequence[str] = ()  # sentences of a list with bullets
     note: str = ""  # a last paragraph, in grey
-    sides: Sequence[Part] = ()  # two parts side by side, which have no name and no sides
+    sides: "Sequence[Part]" = ()  # two parts side by side, which have no name and no sides
 
 
 def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:

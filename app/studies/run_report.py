@@ -1,7 +1,7 @@
 """The report of a run, as a self-contained page."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from itertools import cycle
 from typing import Any
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from app.config import Config, tunables
 from app.errors import DbbError
+from app.jobs.progress import OnProgress
 from app.robot.description import load_robot
 from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.metrics import extremes, metrics, verdict
@@ -25,21 +26,25 @@ from app.studies.runs import flattened, plain
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
 """Colours of the pairs without a colour in `PAIR_COLOURS`, repeated if there are more pairs."""
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
-
 _UNKNOWN = ("duration_us", "force_bound_n", "buffer_needed_m", "buffer_needed_max_m")
 """Columns that can have NaN or infinite values in a complete log, besides the optional ones."""
 _LISTED = 5  # [-] largest number of listed columns
 
 
-def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters.
-
-    `on_progress` gets the finished share of the pictures, 0 to 1.
-    """
+def run_report(run: Trace, on_progress: OnProgress = lambda _: None) -> str:
+    """Make the HTML page of a trace with snapshots: key numbers, pictures, changed parameters."""
     run, controllers = _without_infinite(run), ", then ".join(run.controllers)
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
     numbers, chain = key_numbers(run), _chain(run.meta)
-    parts = [Part(text=[verdict(numbers, chain), *_missing(run)])]
+    counts = zip(run.columns, np.isnan(run.table).sum(axis=0).tolist(), strict=True)
+    empty = [
+        f"{column.name} ({count} of {len(run)} rows)"
+        for column, count in counts
+        if count and not column.optional and column.name not in _UNKNOWN
+    ]
+    more = f" and {len(empty) - _LISTED} other columns" if len(empty) > _LISTED else ""
+    gaps = f"Values are missing in the log, in {', '.join(empty[:_LISTED])}{more}."
+    parts = [Part(text=[verdict(numbers, chain), *([gaps] if empty else [])])]
     if chain:
         named = numbers["min_distance_m"].items()
         numbers["min_distance_m"] = {spoken(pair, chain): d for pair, d in named}
@@ -48,26 +53,19 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
         for k, each in enumerate(_PICTURES.values()):
             on_progress(k / len(_PICTURES))
             parts.append(Part(each.title, each.name, [each.caption], style.png_of(each.draw(run))))
-    parts.append(_changes(run))
+    changes = [
+        (path, tunables()[path].unit.removeprefix("-"), _value(usual), _value(had))
+        for path, usual, had in config_changes([s.config for s in run.snapshots])
+    ]
+    none = [] if changes else ["All parameters had the program's defaults."]
+    grid = Grid(("changed", "unit", "default", "here"), changes, numbers=True)
+    parts.append(Part("Parameters", "parameters", none, tables=[grid] if changes else []))
     meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
     robot = f"Robot {meta.robot}" + (f", plant {meta.physics}" if meta.physics else "")
     robot += "" if meta.seed is None else f", seed {meta.seed}"
     rows = "one for each control step" if run.each_step else "without the steps between them"
     about = f"{robot}; {first.t:.2f} s to {last.t:.2f} s, {len(run)} rows, {rows}."
     return page_html(title, about, parts)
-
-
-def _missing(run: Trace) -> list[str]:
-    """A list with a sentence on required columns with missing values; empty if there are none."""
-    empty = zip(run.columns, np.isnan(run.table).sum(axis=0).tolist(), strict=True)
-    found = [
-        f"{column.name} ({count} of {len(run)} rows)"
-        for column, count in empty
-        if count and not column.optional and column.name not in _UNKNOWN
-    ]
-    more = f" and {len(found) - _LISTED} other columns" if len(found) > _LISTED else ""
-    listed = ", ".join(found[:_LISTED])
-    return [f"Values are missing in the log, in {listed}{more}."] if found else []
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
@@ -79,10 +77,7 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The results of `extremes` and `metrics`; the latter have the keys of `dbb run --json`.
-
-    None replaces values that are not finite, which an edited log can have.
-    """
+    """The results of `extremes` and `metrics`; None replaces values that are not finite."""
     run = _without_infinite(run)
     return plain({**extremes(run), **metrics(run)})
 
@@ -94,35 +89,22 @@ def _without_infinite(run: Trace) -> Trace:
     return finite
 
 
-def _changes(run: Trace) -> Part:
-    rows = [
-        (path, getattr(tunables()[path], "unit", "").removeprefix("-"), _value(usual), _value(had))
-        for path, usual, had in config_changes([s.config for s in run.snapshots])
-    ]
-    if not rows:
-        return Part("Parameters", "parameters", text=["All parameters had the program's defaults."])
-    head = ("changed", "unit", "default", "here")
-    return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
-
-
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """The parameters that differ from the program's defaults in at least one configuration.
+    """Path, default and value of each parameter that differs from the program's default.
 
-    For each, the result has the path, such as `border.d_b`, the default, and the value or, if the
-    configurations differ in it, the list of different values.
+    If the configurations have different values, the result has the list of these values.
     """
-    changes = []
-    for path, about in tunables().items():
-        had = list(dict.fromkeys(config.value(path) for config in configs))
-        if had != [about.default]:
-            changes.append((path, about.default, had[0] if len(had) == 1 else had))
-    return changes
+    had = {path: list(dict.fromkeys(c.value(path) for c in configs)) for path in tunables()}
+    return [
+        (path, about.default, had[path][0] if len(had[path]) == 1 else had[path])
+        for path, about in tunables().items()
+        if had[path] != [about.default]
+    ]
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, list):
-        return ", then ".join(map(_value, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    values = value if isinstance(value, list) else [value]
+    return ", then ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in values)
 
 
 @style.picture("distances", "Distances and activations")
@@ -137,11 +119,10 @@ def distances_figure(run: Trace) -> Figure:
         line = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
         above.plot(run.t, run.distances[:, k], label=spoken(pair, chain) if chain else pair, **line)
         below.plot(run.t, run.betas[:, k], **line)
-    d_b = [s.d_b for s in run.snapshots]
+    times, d_b = zip(*((s.t, s.d_b) for s in run.snapshots), strict=True)
     if len(set(d_b)) == 1 and math.isfinite(d_b[0]):
         style.level(above, d_b[0], "buffer distance $d_b$")
     else:  # it changed during the run, or is missing
-        times = [s.t for s in run.snapshots]
         above.step(times, d_b, where="post", color=style.SOFT, linestyle=(0, (4, 3)), label="$d_b$")
     above.axhline(0.0, color=style.TARGET, linewidth=1.0)
     above.set_ylabel("distance [m]")
@@ -156,11 +137,10 @@ def base_figure(run: Trace) -> Figure:
     """Above: commanded acceleration of the base, and desired acceleration of the avoidance. Below:
     commanded and true velocity of the base.
     """
-    figure = style.new_figure(6.4)
     acceleration, avoidance = run.of("base_acceleration"), run.of("avoidance_acceleration")
     command, velocity = run.of("base_velocity_command"), run.of("base_velocity")
     linear = acceleration.shape[1] - 1  # the last axis is angular
-    grid = figure.subplots(2, linear + 1, sharex=True)
+    figure, grid = style.new_panels(6.4, 2, linear + 1, sharex=True)
     names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
     for k, name in enumerate([*names, r"\omega"]):
         (above, below), unit = grid[:, k], "m" if k < linear else "rad"
@@ -183,11 +163,9 @@ def end_effector_figure(run: Trace) -> Figure:
     """
     figure, (error, force) = style.new_panels(4.6, 2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.EE)
-    error.set_ylabel("end-effector error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
-    force.set_ylabel("force [N]")
-    for ax in (error, force):
-        ax.set_ylim(bottom=0.0)
+    error.set(ylabel="end-effector error [mm]", ylim=(0.0, None))
+    force.set(ylabel="force [N]", ylim=(0.0, None))
     _over_time((error, force), run)
     return figure
 
@@ -210,10 +188,9 @@ def plan_figure(run: Trace) -> Figure:
     end. Arrows show the base's heading, grey at the start.
     """
     figure, ax = style.new_panels(5.0)
-    for points, colour, text in (
-        (run.of("base_pose"), style.PATH, "base"),
-        (run.of("p_ee"), style.EE, "end-effector"),
-    ):
+    shown = ("base_pose", style.PATH, "base"), ("p_ee", style.EE, "end-effector")
+    for name, colour, text in shown:
+        points = run.of(name)
         ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
         ax.plot(*points[0, :2], **style.marker_style(colour, "s", 7.0))
         ax.plot(*points[-1, :2], **style.marker_style(colour))
@@ -224,8 +201,8 @@ def plan_figure(run: Trace) -> Figure:
         ax.annotate("", tip, (x, y), arrowprops=head)
     targets = np.array([s.hand_target for s in run.snapshots if s.hand_target is not None])
     if len(targets):
-        line = {"color": style.TARGET, "linewidth": 1.4, "label": "target of the pull"}
-        ax.plot(targets[:, 0], targets[:, 1], ":", **line)
+        x, y, *_ = targets.T
+        ax.plot(x, y, ":", color=style.TARGET, linewidth=1.4, label="target of the pull")
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="x [m]", ylabel="y [m]")
     _legend_right(ax)

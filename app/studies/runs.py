@@ -16,12 +16,10 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]  # finite numbers, texts, booleans and None, by the name of the column
 
-_KEPT_EVERY = 10  # [-] number of control steps from one row of a thinned trace to the next
-
 
 def thinned(result: RunResult) -> RunResult:
     """A run with each tenth row (0.01 s) and no snapshots, but with the results of all rows."""
-    return result._replace(trace=result.trace.rows(slice(None, None, _KEPT_EVERY)))
+    return result._replace(trace=result.trace.rows(slice(None, None, 10)))
 
 
 def flattened(results: Mapping[str, Any]) -> Row:

@@ -11,23 +11,17 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-METHOD_COLOURS = {
-    "dbb": "#0072B2",
-    "hqp": "#C9B400",
-    "points": "#56B4E9",
-    "repulsive": "#D55E00",
-    "barrier": "#CC79A7",
-    "none": "#7A7F87",
+_METHODS = {
+    "dbb": ("#0072B2", "proposed (DBB)"),
+    "hqp": ("#C9B400", "as printed (HQP)"),
+    "points": ("#56B4E9", "proposed, border of points"),
+    "repulsive": ("#D55E00", "repulsive force"),
+    "barrier": ("#CC79A7", "barrier rows"),
+    "none": ("#7A7F87", "no avoidance"),
 }
-"""One colour for each controller, and for `dbb` with a border of points (`points`)."""
-METHOD_NAMES = {
-    "dbb": "proposed (DBB)",
-    "hqp": "as printed (HQP)",
-    "points": "proposed, border of points",
-    "repulsive": "repulsive force",
-    "barrier": "barrier rows",
-    "none": "no avoidance",
-}
+"""Colour and title of each controller, and of `dbb` with a border of points (`points`)."""
+METHOD_COLOURS = {name: colour for name, (colour, _) in _METHODS.items()}
+METHOD_NAMES = {name: title for name, (_, title) in _METHODS.items()}
 PAIR_COLOURS = {"lm-lEE": "#009E73", "lm-l3": "#E69F00", "lm-door": "#882E72"}
 """One colour for each pair of the paper's arm and base, and for the pair of base and door."""
 PAIR_NAMES = {
@@ -42,7 +36,6 @@ TARGET = "#D7263D"  # the target of the end-effector
 PATH = "#0072B2"  # the path of the base
 EE = "#009E73"  # the path of the end-effector
 SCORE_MAP = "viridis"  # low scores are dark, high scores are yellow
-
 WIDTH = 11.0  # [in] default width of a figure
 DPI = 150
 _RULES: dict[Any, Any] = {
@@ -66,7 +59,6 @@ _RULES: dict[Any, Any] = {
     "legend.fontsize": 10,
     "mathtext.fontset": "dejavusans",
 }
-
 
 # At the level INFO matplotlib reports each letter that it takes from another font.
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
@@ -127,36 +119,17 @@ def panel_title(axes: Axes, letter: str, text: str) -> None:
     axes.set_title(title, y=0.97 if axes.name == "3d" else None)
 
 
-def time_axis(axes: Axes, duration: float) -> None:
-    """Limit the x axis to 0 to a duration [s], and label it as the time."""
-    axes.set(xlim=(0.0, duration), xlabel="time [s]")
-
-
 def level(axes: Axes, value: float, text: str) -> None:
     """Draw a dashed horizontal line at a value, with a text above its right end."""
     axes.axhline(value, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
-    axes.annotate(
-        text,
-        (1.0, value),
-        xycoords=axes.get_yaxis_transform(),
-        xytext=(-2, 3),
-        textcoords="offset points",
-        ha="right",
-        va="bottom",
-        fontsize=9,
-        color="#616E7C",
-        path_effects=[patheffects.withStroke(linewidth=3, foreground="white")],
-    )
+    place: dict[str, Any] = {"xytext": (-2, 3), "textcoords": "offset points"}
+    place |= {"xycoords": axes.get_yaxis_transform(), "ha": "right", "va": "bottom"}
+    halo = patheffects.withStroke(linewidth=3, foreground="white")
+    axes.annotate(text, (1.0, value), fontsize=9, color="#616E7C", path_effects=[halo], **place)
 
 
 def marker_style(colour: str, marker: str = "o", size: float = 9.0) -> dict[str, Any]:
     """Keyword arguments of `plot` for a point that is visible on any background."""
-    return {
-        "color": colour,
-        "marker": marker,
-        "markersize": size,
-        "markeredgecolor": "white",
-        "markeredgewidth": 1.2,
-        "linestyle": "none",
-        "zorder": 6,
-    }
+    look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": size}
+    edge = {"markeredgecolor": "white", "markeredgewidth": 1.2}
+    return look | edge | {"linestyle": "none", "zorder": 6}

@@ -53,10 +53,10 @@ from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.study import Journal
 from app.studies.run_report import key_numbers
-from app.system import peak_memory
 from benchmarks.fuzz import Length
 from benchmarks.fuzz.expand import expanded
 from benchmarks.fuzz.mutate import mutated, mutated_bytes
+from benchmarks.memory import peak_memory
 from tests.logs import random_snapshots, trace_of
 
 _LONGEST = 20.0  # [s] processor time after which the reading of a file is aborted

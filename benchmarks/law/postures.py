@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from app.robot.link_pairs import PairDistances
-from app.simulation.scenarios.posture import PostureSearch
+from app.simulation.scenarios.start import PostureSearch
 from benchmarks.law.robot import Robot
 
 Array = np.ndarray

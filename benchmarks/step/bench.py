@@ -16,7 +16,7 @@ from app.control.controller import Controller, ControlLoop
 from app.control.quantities import ControlStep
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
-from app.system import peak_memory
+from benchmarks.memory import peak_memory
 from benchmarks.step.density import by_points
 from benchmarks.step.floor import Floor
 from benchmarks.step.paths import PATHS, Moment, Path, record

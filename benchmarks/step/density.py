@@ -9,7 +9,8 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.border.dbb import DISTANCE_UNIT, make_cloud, quantise_points
-from app.border.offset import RAYS, OffsetContours
+from app.border.nearest import OffsetContours
+from app.border.offset import RAYS, offset_contours
 from app.config import Config
 from app.control.controller import ControlLoop
 from app.robot.model import RobotModel
@@ -30,7 +31,7 @@ def by_points(
     The points are on the exact offset of the mobile base. The borders are measured in turn, several
     times, and the smallest median of each counts, because the machine's speed varies.
     """
-    offset = OffsetContours(model, Config().border.d_b)
+    offset = offset_contours(model, Config().border.d_b)
     loops = {}
     for count in counts:
         dense = _dense(data, offset, count, seed)
@@ -48,15 +49,15 @@ def by_points(
 def _dense(data: BorderData, offset: OffsetContours, count: int, seed: int) -> BorderData:
     """The same pairs with clouds of `count` points each, all at the distance d_b."""
     points = quantise_points(points_on(offset, count, np.random.default_rng(seed)))
-    distance = np.full(count, round(offset.d_b / DISTANCE_UNIT), np.uint16)
+    distance = np.full(count, round(Config().border.d_b / DISTANCE_UNIT), np.uint16)
     clouds = {pair.name: make_cloud(pair.name, points, distance) for pair in data.pairs.mobile}
     return replace(data, clouds=clouds)
 
 
 def points_on(offset: OffsetContours, count: int, rng: np.random.Generator) -> Array:
     """(count, 3) [m] random points of the contours, and between them."""
-    rows = slice(offset.table.firsts[1])  # those of the first shape
-    heights, corners = offset.table.heights[rows], offset.table.vertices[rows]
+    rows = slice(offset.firsts[1])  # those of the first shape
+    heights, corners = offset.heights[rows], offset.vertices[rows]
     vertices = np.stack([corners.real, corners.imag], axis=-1)
     level = rng.uniform(0.0, len(heights) - 1.0, count)
     k = level.astype(int)

@@ -20,33 +20,19 @@ if TYPE_CHECKING:
 VARIABLE = "DBB_BROWSER"  # environment variable with the path of the browser to use
 
 _NAMES = (
-    "chromium",
-    "chromium-browser",
-    "google-chrome-stable",
-    "google-chrome",
-    "chrome",
-    "microsoft-edge-stable",
-    "brave-browser",
+    "chromium chromium-browser google-chrome-stable google-chrome chrome microsoft-edge-stable "
+    "brave-browser"
 )
 _APPLICATIONS = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
 )
 # Mesa draws two to three times faster in software than Chromium's own SwiftShader.
-_MESA = (
-    "--use-gl=angle",
-    "--use-angle=gl-egl",
-    "--ignore-gpu-blocklist",
-    "--disable-gpu-compositing",
-)
-_SWIFTSHADER = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+_MESA = "--use-gl=angle --use-angle=gl-egl --ignore-gpu-blocklist --disable-gpu-compositing"
+_SWIFTSHADER = "--use-angle=swiftshader --enable-unsafe-swiftshader"
 _QUIET = (
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-dev-shm-usage",
+    "--disable-quic --no-first-run --disable-background-networking --disable-component-update "
+    "--disable-sync --disable-dev-shm-usage"
 )
 _RENDERER = """() => {
   const gl = document.createElement('canvas').getContext('webgl2');
@@ -68,7 +54,7 @@ def browser_path(bundled: str) -> str | None:
             raise BrowserError(f"{VARIABLE}={chosen} does not exist")
         return chosen
     applications = _APPLICATIONS if sys.platform == "darwin" else ()
-    for path in (*map(shutil.which, _NAMES), *filter(os.path.exists, applications)):
+    for path in (*map(shutil.which, _NAMES.split()), *filter(os.path.exists, applications)):
         if path:
             return path
     if Path(bundled).exists():
@@ -146,7 +132,7 @@ def _launch(playwright: Playwright, path: str | None, folder: str) -> Browser:
         try:
             browser = playwright.chromium.launch(
                 executable_path=path,
-                args=[*flags, *_QUIET],
+                args=f"{flags} {_QUIET}".split(),
                 env={**os.environ, "TMPDIR": folder, "HOME": folder},  # HOME may be missing
             )
         except Error as error:

@@ -23,17 +23,20 @@ from PIL import Image, ImageDraw, ImageFont
 
 from app.border.dbb import Cloud
 from app.dashboard.export import Layer, Look
-from app.dashboard.export.browser import new_context
+from app.dashboard.export.browser import chromium, new_context
+from app.dashboard.job import loaded
 from app.dashboard.scene import colours
-from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
+from app.dashboard.scene.camera import PRESETS, Window, first_view, lens_of, placed, set_first_look
 from app.dashboard.scene.canvas import Lens, in_world
 from app.dashboard.scene.colours import Rgb, css, set_theme
-from app.dashboard.scene.layers import nearness
-from app.dashboard.scene.scene import Scene, SceneData
+from app.dashboard.scene.layers import standings
+from app.dashboard.scene.scene import Scene
+from app.dashboard.shared import SharedState
 from app.dashboard.verdict import COLOURS
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import OutputError
+from app.jobs.process import Report
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
 from app.simulation.loop.loop import LoopHandle
@@ -41,7 +44,7 @@ from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.simulation.trace.trace import Stored, Trace
 from app.simulation.trace.words import METHOD_WORDS, millimetres
-from app.system import whole_file
+from app.system import whole_file, write_whole
 
 if TYPE_CHECKING:
     import playwright.sync_api as web
@@ -50,7 +53,7 @@ HOST = "127.0.0.1"
 BARRIER = "/sent"  # scene node whose x coordinate is the last number of `send_barrier`
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
-RATE = 25.0  # [Hz] frame rate of a replay
+RATE = 25.0  # [Hz] frame rate of a replay, and of a film that a viewer of the page requests
 _MEANINGS: dict[Layer, str] = {  # meaning of a border's colours
     "score": "yellow: high score, purple: low score; avoidance turns yellow parts towards the arm",
     "determinant": "yellow: the base moves the point well, purple: less well",
@@ -116,15 +119,14 @@ class OffscreenScene:
         labels: bool = True,
     ) -> None:
         """Send all constant objects; draw labels if `labels`. Errors are those of `RobotParts`."""
-        self._server, self._loop = server, loop
-        self._data = SceneData(loop, model, clouds)
+        self._server, self._loop, self._look = server, loop, look
+        self._data = SharedState(loop, model, clouds)
         self._view = View.first(self._data.mobile, [])
         apply_look(self._view, look)
         set_theme(server.gui, dark=look.dark)
         self._scene = Scene(server.scene, self._data, self._view)
         self._scene.canvas.labels = labels
         self._lens: Lens | None = None
-        self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
         """Aim the camera at `shown` as `placed` does; return eye and target (3,) [m, world]."""
@@ -136,7 +138,8 @@ class OffscreenScene:
 
     def outline(self, base_pose: np.ndarray) -> None:
         """Draw a rectangle on the floor: the outline of the base at a pose (3,) [m, m, rad]."""
-        around = np.vstack([body.corners() for body in self._data.parts.bodies if not body.joint])
+        fixed = [body for body in self._data.parts.bodies if not body.joint]
+        around = np.vstack([body.corners(pin.SE3.Identity()) for body in fixed])
         (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
         corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
         corners = in_world(base_pose, corners)
@@ -204,6 +207,18 @@ def replay_html(
         recording.insert_sleep(1.0 / RATE)
         page = recording.as_html(dark_mode=look.dark)
     return _captioned_page(page, log, model.body_names, look.layer)
+
+
+def write_replay(report: Report, trace: Trace, page: Path) -> None:
+    """Write a replay from the preset of `first_view`; `Job.run` calls this in another process."""
+    model, data = loaded(trace.meta.robot, progress=False)
+    duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
+    look = Look(view=first_view(trace.snapshots[0]))
+
+    def on_progress(t: float) -> None:
+        report("drawing the pictures", min(t / duration, 1.0))
+
+    write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))
 
 
 def _captioned_page(page: str, log: Trace, chain: Sequence[str], layer: Layer) -> str:
@@ -287,8 +302,7 @@ def film_pictures(
             at = target + pin.utils.rotate("z", (k - 1) * orbit) @ (eye - target)
             values = [BARRIER, k, at.tolist(), target.tolist(), ground]
             jpeg = base64.b64decode(page.evaluate("values => dbbPage.still(values)", values))
-            picture = Image.open(io.BytesIO(jpeg)).convert("RGB")
-            shown = loop.go_to(t)
+            picture, shown = Image.open(io.BytesIO(jpeg)).convert("RGB"), loop.latest()
             if framed:
                 yield label(picture, story(shown, first), dark=look.dark)
             else:
@@ -301,8 +315,7 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     """Return four lines: method, task, clearance, and the base's displacement since `first`."""
-    method = METHOD_WORDS.get(shown.controller, shown.controller)
-    near = nearness(shown, door=shown.door is not None)
+    method, near = next(standings(shown))
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     task = "a person pulls the end-effector"
     if shown.mode == "tracking":
@@ -320,18 +333,16 @@ def captioned(
 ) -> Image.Image:
     """Write scenario and time into a picture, then method and clearance of each robot.
 
-    If `posed`, a note replaces scenario and time, because a posture is not simulated. If `named`,
-    method and clearance are omitted in a comparison, because the picture has labels with them.
+    If `posed`, the picture shows a posture that is not simulated: a note replaces scenario and
+    time. If `named`, the picture of a comparison already has labels with methods and clearances.
     """
     scenario = f"{shown.scenario}, " if shown.scenario else ""
-    lines: list[str | tuple[str, Rgb]] = [f"{scenario}t = {shown.t:.2f} s"]
-    if posed:
-        lines = ["Preview, not simulated"]
+    first = "Preview, not simulated" if posed else f"{scenario}t = {shown.t:.2f} s"
+    lines: list[str | tuple[str, Rgb]] = [first]
     if not (named and shown.ghosts):
-        robots = zip((shown, *shown.ghosts), (INK[look.dark], *colours.GHOSTS), strict=False)
-        for robot, colour in robots:
-            method = METHOD_WORDS.get(robot.controller, robot.controller)
-            lines.append((f"{method}: {nearness(robot, door=shown.door is not None)}", colour))
+        shades = (INK[look.dark], *colours.GHOSTS)
+        robots = zip(standings(shown), shades, strict=False)
+        lines += [(f"{method}: {near}", colour) for (method, near), colour in robots]
     return label(picture, lines, dark=look.dark)
 
 
@@ -384,6 +395,22 @@ def write_film(
             process.kill()
             process.wait()
     return count
+
+
+def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
+    """Write a film of a trace at true speed, with `RATE` and the default codec of its suffix."""
+    report("starting a browser", 0.0)
+    with chromium() as browser:  # first, because all later work needs it
+        model, data = loaded(trace.meta.robot, progress=False)
+        begin, end = trace.snapshots[0].t, trace.snapshots[-1].t
+        times = [begin + k / RATE for k in range(1 + int((end - begin) * RATE + 1e-9))]
+        pictures = film_pictures(browser, trace.snapshots, times, model, data.clouds, look)
+
+        def on_progress(k: int) -> None:
+            report(f"picture {k + 1} of {len(times)}", k / len(times))
+
+        with contextlib.closing(pictures):
+            write_film(film, pictures, RATE, next(iter(CODECS[film.suffix])), on_progress)
 
 
 def label(

@@ -13,9 +13,9 @@ from app.dashboard.drag import Grip
 from app.dashboard.job import Job
 from app.dashboard.markup import small
 from app.dashboard.notifications import Notifier
+from app.dashboard.record import Timeline
 from app.dashboard.scene.camera import Camera
 from app.dashboard.shared import SharedState
-from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
@@ -74,11 +74,16 @@ class Viewer:
             loop.send(Reset())
             loop.send(Pause(False))
 
+    def use_robot(self, name: str) -> None:
+        """Start to replace the robot for all viewers; changed parameters keep their values."""
+        shared = self.shared
+        shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
+
     def toggle_pause(self) -> None:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`; beyond the newest one, a paused run advances."""
+        """Move the shown instant by `seconds`; beyond the newest instant, a paused run advances."""
         newest = self.shared.loop.latest()
         if seconds > 0.0 and newest.paused and self.timeline.shown().t >= newest.t:
             self.timeline.go_live()
@@ -156,7 +161,7 @@ class Panel:
     def follow(self, handle: Any, value: Any) -> None:
         """Assign a shared value to a widget if this value has changed since the last call.
 
-        An unchanged value would reset a viewer's choice that is on its way to the simulation.
+        To assign an unchanged value would reset a choice that is on its way to the simulation.
         """
         if self.followed.get(id(handle)) != value:
             self.followed[id(handle)] = handle.value = value

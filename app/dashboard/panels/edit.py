@@ -99,16 +99,12 @@ class EditPanel(Panel):
         there = robot_folder(own)
         again = name == own and is_own(own)
         save_by_hand(there, there if again else new_folder(name), self.changes)
-        shared = self._shared
-        shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
+        self._viewer.use_robot(name)
 
     def _draw(self) -> None:
         chosen, changed = self._body.value, self.changes.shapes
-        wanted = {
-            key
-            for key, (body, i) in self._keys.items()
-            if key == chosen or (body.name, i) in changed
-        }
+        edited = {key for key, (body, i) in self._keys.items() if (body.name, i) in changed}
+        wanted = edited | ({chosen} - {_NONE})
         for key in self._drawn.keys() - wanted:
             self._drawn.pop(key)[1].remove()
         for key in wanted:

@@ -18,7 +18,6 @@ from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 from app.strict import Array
 
-_DEGREES = float(np.degrees(1.0))
 FARTHEST = 5.0  # [m] largest base coordinate
 
 
@@ -33,8 +32,8 @@ class ExplorerPanel(Panel):
         self._paused = False  # whether the pause has taken effect
         self._since = viewer.shared.loop.latest()  # newest snapshot when posing began
         self._lock = RLock()  # a callback can change the posture while the page is drawn
-        model = viewer.shared.model
-        self._scale = np.array([1.0 if unit == "m" else _DEGREES for unit in model.joint_units])
+        model, turn = viewer.shared.model, float(np.degrees(1.0))
+        self._scale = np.array([1.0 if unit == "m" else turn for unit in model.joint_units])
         with self._gui.add_folder("Joint sliders", expand_by_default=False):
             self._text = self._gui.add_html("")
             self._begin = self.button("Pause and pose the arm", self._enter, viser.Icon.STRETCHING)

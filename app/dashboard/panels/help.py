@@ -136,12 +136,20 @@ class Guide(Panel):
     def go(self, state: str) -> None:
         """Show the card of a state, or none for ""; end a comparison that the guide has started.
 
-        After a demonstration, or for the card "pull", this also starts a run without a scenario.
+        After a demonstration, or for the card "pull", this also resets the simulation, unless a
+        person holds the robot. A comparison that a viewer has chosen meanwhile continues.
         """
         with self._lock:
-            before, self.state = self.state, state
-            if self._compares:
-                self._end(anew=before == "demo" or state == "pull")
+            anew = self.state == "demo" or state == "pull"
+            self.state = state
+            loop, compares, self._compares = self._shared.loop, self._compares, False
+            if not compares or {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
+                return  # no comparison, or another one that a viewer has chosen
+            loop.send(Compare())
+            held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
+            held |= self._viewer.grip.holds_anything  # the grip can be newer than the pulls
+            if anew and not held:
+                loop.send(Reset())
 
     def watch(self, state: str) -> None:
         """Show the card of a state; play `SHOWN` on the robot and on a ghost without avoidance.
@@ -197,14 +205,3 @@ class Guide(Panel):
                 self.go(f"tour {int(self.state[-1]) + 1}")
             else:
                 self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
-
-    def _end(self, *, anew: bool) -> None:
-        """End the guide's comparison; if `anew`, also reset, unless a person holds the robot."""
-        loop, self._compares = self._shared.loop, False
-        if {ghost.controller for ghost in loop.latest().ghosts} - {"none"}:
-            return  # a viewer has chosen another comparison
-        loop.send(Compare())
-        held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
-        held |= self._viewer.grip.holds_anything  # the grip can be newer than the pulls
-        if anew and not held:
-            loop.send(Reset())

@@ -10,7 +10,7 @@ import viser
 from app.dashboard.markup import problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.edit import EditPanel
-from app.dashboard.robots import Package, RobotBuild, RobotEntry, new_folder
+from app.dashboard.robots import RobotBuild, RobotEntry, new_folder
 from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
 from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
@@ -42,11 +42,7 @@ _QUESTIONS = {  # label and hint, by the field of `Request`; "left", "right": `w
     ),
 }
 _WHEELS = "“Left wheel” and “Right wheel”"
-_REPORT = (
-    "<style>.mantine-Modal-content:has(.dbb-report){{flex:0 0 min(62rem,92vw)!important}}</style>"
-    '<iframe class="dbb-report" sandbox srcdoc="{}" title="report" '
-    'style="width:100%;height:72vh;border:0;border-radius:4px;background:#fff"></iframe>'
-)
+_NO_ROBOT = RobotEntry("", "", "", "", own=False, report=False)
 
 
 class RobotPanel(Panel):
@@ -61,52 +57,54 @@ class RobotPanel(Panel):
         self._list = gui.add_dropdown("Robot", ("",), hint=hint)
         self.about = gui.add_html("")  # the chosen robot, and why the last switch has failed
         hint = "The robot is prepared in the background; meanwhile, the present one is shown."
-        self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=hint)
+        use, icon = lambda _: viewer.use_robot(self._chosen.name), viser.Icon.ROBOT
+        self._use = self.button("Use this robot", use, icon, hint=hint)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list(shared.model.description.name)
         self.edit = EditPanel(viewer)
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
-        chosen, progress = self._chosen, self._switch.progress
-        name = chosen.name if chosen else ""
         if self._switch.entries is not self._entries:
-            self._renew_list(self._shared.robot_build.built or name)
-            chosen = self._chosen
-        here = chosen is not None and chosen.name == self._shared.model.description.name
+            self._renew_list(self._shared.robot_build.built or self._chosen.name)
+        chosen, reason = self._chosen, self._switch.problem
+        here = chosen.name == self._shared.model.description.name
         ended = self._shared.loop.error is not None  # then the same robot can be restarted
-        usable = chosen is not None and chosen.problem is None and (ended or not here)
-        reason, written = self._switch.problem, escape if self._switch.cancelled else problem
+        usable = chosen.problem is None and (ended or not here)
+        written = escape if self._switch.cancelled else problem
         failed = small(f"{written(reason)}. The robot has not changed.") if reason else ""
-        self.about.content = (about_html(chosen, here=here) if chosen else "") + failed
-        self._use.disabled = progress is not None or not usable
-        self._report.visible = chosen is not None and chosen.report
+        lines = (
+            f"<b>{escape(chosen.title)}</b>: {escape(chosen.about) or 'no description'}",
+            "In use." if here else "",
+            "Your own robot." if chosen.own else "",
+            problem(chosen.problem) if chosen.problem else "",
+        )
+        about = small("<br>".join(filter(None, lines))) if chosen.name else ""
+        self.about.content = about + failed
+        self._use.disabled = self._switch.progress is not None or not usable
+        self._report.visible = chosen.report
 
-    def _begin(self, _: viser.GuiEvent) -> None:
-        shared, chosen = self._shared, self._chosen
-        name = chosen.name if chosen else ""
-        self._switch.begin(name, shared.tuning.changes, shared.loop)
-
-    def _show_report(self, event: viser.GuiEvent) -> None:
-        chosen, client = self._chosen, event.client
-        name = chosen.name if chosen else ""
+    def _show_report(self, _: object) -> None:
+        name, client = self._chosen.name, self._viewer.client
         path = robot_folder(name) / "report.html"
-        if client is None or path.is_symlink() or not path.is_file():
+        if path.is_symlink() or not path.is_file():
             raise AssetError(f"{name}: the report {path} does not exist")
         try:
             page = file_text(path)
         except (OSError, ValueError) as error:
             raise AssetError(f"{path} cannot be read: {error}") from None
-        with client.gui.add_modal(f"Report on the creation of {name}") as modal:
+        with self._gui.add_modal(f"Report on the creation of {name}") as modal:
             send = partial(client.send_file_download, f"{name}-report.html", page.encode())
             save, icon = lambda _: send(save_immediately=True), viser.Icon.DOWNLOAD
             self.button("Save as a file", save, icon, color="gray")
-            client.gui.add_html(report_html(page))
+            self._gui.add_html(report_html(page))
             self.button("Close", lambda _: modal.close())
 
     @property
-    def _chosen(self) -> RobotEntry | None:
-        return next((each for each in self._entries if each.label == self._list.value), None)
+    def _chosen(self) -> RobotEntry:
+        """The chosen robot; `_NO_ROBOT` if the list is empty."""
+        found = (each for each in self._entries if each.label == self._list.value)
+        return next(found, _NO_ROBOT)
 
     def _renew_list(self, name: str) -> None:
         """Offer the robots that the last search found; choose the robot `name` if it exists."""
@@ -147,8 +145,14 @@ class NewRobotPanel(Panel):
             if package is not None:
                 self.fields["file"].options = tuple(package.urdfs)
                 self.fields["out"].value = robot_name(package.archive.stem)
-        if package is not None and self.fields["file"].value != self._shown_urdf:
-            self._offer_links(package)
+        urdf = self.fields["file"].value
+        if package is not None and urdf != self._shown_urdf:
+            self._shown_urdf = urdf
+            if (contents := package.urdfs.get(urdf)) is not None:  # not of the previous zip
+                links, wheels = contents.links, ((FIND, *contents.endless), FIND)
+                offers = {"base": (links, contents.root), "tip": (links, contents.last)}
+                for name, offer in (offers | {"left": wheels, "right": wheels}).items():
+                    self.fields[name].options, self.fields[name].value = offer
         asks = package is not None and progress is None
         for name, field in self.fields.items():
             field.visible = asks and self._suits(name)
@@ -161,23 +165,15 @@ class NewRobotPanel(Panel):
         if package is None:
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
-        folder = new_folder(value["out"])
-        asked = {name: value[name] for name in value if self._suits(name)}
-        left, right = (asked.get(name, FIND) for name in ("left", "right"))
-        if (left == FIND) != (right == FIND):
+        value["out"] = new_folder(value["out"])
+        wheels = value.pop("left"), value.pop("right")
+        if not self._suits("left"):
+            wheels = FIND, FIND
+        if wheels.count(FIND) == 1:
             raise ConfigError("choose both wheels, or detect both")
-        numbers: dict[str, Any] = {n: float(x) for n, x in asked.items() if n in BOUNDS and x}
-        request = Request(
-            str(package.archive),
-            value["base"],
-            value["tip"],
-            folder,
-            wheels=None if left == FIND else (left, right),
-            kind=value["kind"],
-            assume_inertia=value["assume_inertia"],
-            file=value["file"],
-            **numbers,
-        )
+        for name in BOUNDS.keys() & value.keys():
+            value[name] = float(value[name]) if value[name] and self._suits(name) else None
+        request = Request(str(package.archive), wheels=None if FIND in wheels else wheels, **value)
         try:
             check_request(request)
         except ConfigError as error:
@@ -197,36 +193,13 @@ class NewRobotPanel(Panel):
             return self._package is not None and len(self._package.urdfs) > 1
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
 
-    def _offer_links(self, package: Package) -> None:
-        """Offer links and wheel joints of the chosen URDF; preselect its root and farthest link."""
-        self._shown_urdf = self.fields["file"].value
-        contents = package.urdfs.get(self._shown_urdf)
-        if contents is None:  # a choice from the previous zip
-            return
-        for name, options, guess in (
-            ("base", contents.links, contents.root),
-            ("tip", contents.links, contents.last),
-            ("left", (FIND, *contents.endless), FIND),
-            ("right", (FIND, *contents.endless), FIND),
-        ):
-            self.fields[name].options = options
-            self.fields[name].value = guess
-
-
-def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """Describe a robot, with the reason if it cannot be used; `here`: it is in use."""
-    lines = (
-        f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}",
-        "In use." if here else "",
-        "Your own robot." if entry.own else "",
-        "" if entry.problem is None else problem(entry.problem),
-    )
-    return small("<br>".join(filter(None, lines)))
-
 
 def report_html(page: str) -> str:
     """Return a frame that shows the HTML `page` without its scripts."""
-    return _REPORT.format(escape(page))
+    wide = ".mantine-Modal-content:has(.dbb-report){flex:0 0 min(62rem,92vw)!important}"
+    look = "width:100%;height:72vh;border:0;border-radius:4px;background:#fff"
+    frame = f'<iframe class="dbb-report" sandbox srcdoc="{escape(page)}" title="report" '
+    return f'<style>{wide}</style>{frame}style="{look}"></iframe>'
 
 
 def outcome_html(build: RobotBuild) -> str:
@@ -269,5 +242,5 @@ def _field(gui: viser.GuiApi, name: str) -> Any:
         return gui.add_text(label, "", hint=hint)
     if name == "assume_inertia":
         return gui.add_checkbox(label, False, hint=hint)
-    first = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}  # choices before an upload
-    return gui.add_dropdown(label, first.get(name, ("",)), hint=hint)
+    first = tuple(KINDS) if name == "kind" else (FIND,)  # before an upload
+    return gui.add_dropdown(label, first, hint=hint)

@@ -209,30 +209,29 @@ def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
     if busy:
         text = "The simulation continues after this."
         return banner("notice", f"{words.sentence(busy)} …", text)
-    if not course.name:
+    if not course.name or (last := course.last) is None:
         return ""
     about = f"{words.sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
     if course.running:
-        share = min(course.until / max(course.duration, DT), 1.0)
-        title = f"{course.until:.1f} of {course.duration:.0f} s"
-        return small(f"{about}{bar(share)}{title}")
+        filled = bar(min(course.until / max(course.duration, DT), 1.0))
+        return small(f"{about}{filled}{course.until:.1f} of {course.duration:.0f} s")
     ended = f"stopped at {course.until:.1f} s" if course.until < course.duration else "ended"
     changed = course.case is not None and course.name in SCENARIOS
     with suppress(DbbError):  # the robot has no line of its own for this scenario
         changed &= course.case is None or course.case.scenario() != scenario_of(robot, course.name)
-    by = f" with {course.last.controller}" if course.last is not None else ""
-    title = f"{course.name}{' (options changed)' if changed else ''}{by} {ended}"
+    options = " (options changed)" if changed else ""
+    title = f"{course.name}{options} with {last.controller} {ended}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
-    values = (
+    values = [
         reading("smallest distance", millimetres(course.least)),
         reading("largest pull", f"{course.pull:.0f} N"),
         reading("peak end-effector speed", f"{course.speed:.2f} m/s"),
         reading("base travel", f"{course.path:.2f} m"),
-    )
-    if course.last is not None and (door := course.last.door) is not None:
-        turned = f"{math.degrees(door.angle):.0f}° of {math.degrees(OPENED):.0f}°"
-        values = (reading("door opened", turned), *values)
+    ]
+    if last.door is not None:
+        turned = f"{math.degrees(last.door.angle):.0f}° of {math.degrees(OPENED):.0f}°"
+        values.insert(0, reading("door opened", turned))
     colour = css(COLOURS["contact" if met else "clear"])
     frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
     return small(f"<b>{title}: {result}</b><br>{about}{table(values)}", frame)
@@ -262,10 +261,11 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
 def machine_rows(snapshot: Snapshot) -> list[str]:
     late = min(snapshot.overruns / max(round(snapshot.t / DT), 1), 1.0)
     factor = f"{snapshot.realtime_factor:.2f}".replace("nan", "–")
-    step, failures = f"{snapshot.step_time_us:.0f} µs", snapshot.solver_failures
+    step = f"{snapshot.step_time_us:.0f} µs".replace("nan", "–")
+    failures = snapshot.solver_failures
     return [
         _warned("real-time factor", factor, bad=is_slow(snapshot)),
-        reading("control step", step.replace("nan", "–")),
+        reading("control step", step),
         _warned("late steps", f"{100.0 * late:.1f} %", bad=late > LATE),
         _warned("solver failures", f"{failures}", bad=failures > 0),
     ]
@@ -276,7 +276,7 @@ def _warned(name: str, value: str, *, bad: bool) -> str:
 
 
 def pairs_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return a table of all pairs; `spoken` has words for names, in the order of the plots."""
+    """Return a table of all pairs; `spoken` has their displayed names in the order of the plots."""
     distance = cell("distance [mm]", RIGHT, ONE_LINE, span=2)
     beta = cell("activation β", RIGHT, ONE_LINE, "padding-left:1em")
     head = row(cell(), cell("link pair"), distance, beta, style=FAINT)

@@ -10,10 +10,9 @@ from typing import Any, cast
 import viser
 from PIL import Image
 
-from app.config import Config
 from app.dashboard.export import Look, Side
-from app.dashboard.export.offscreen import CODECS, captioned
-from app.dashboard.job import FILM_RATE, write_film_of, write_log, write_replay, write_report
+from app.dashboard.export.offscreen import CODECS, RATE, captioned, write_film_of, write_replay
+from app.dashboard.job import write_log, write_report
 from app.dashboard.markup import small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
@@ -53,7 +52,7 @@ class SavePanel(Panel):
                 self._file(label, icon, partial(self._of_interval, name, write), hint=hint)
             self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
             self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
-            hint = f"{FILM_RATE:g} pictures per second, in the size above. Each takes about 0.25 s"
+            hint = f"{RATE:g} pictures per second, in the size above. Each takes about 0.25 s"
             hint += " to draw: mark a short interval."
             self._file("Film", viser.Icon.VIDEO, self._film, hint=hint)
         with gui.add_folder("Last scenario"):
@@ -82,11 +81,10 @@ class SavePanel(Panel):
         case, last = self._shared.course.case, self._shared.course.last
         if case is None or last is None:
             raise CaseError("there is no case yet; play a scenario first")
-        parameters = {path: last.config.value(path) for path in case.parameters}
-        parameters |= last.config.changes(Config())  # also those changed during the run
+        parameters = {path: last.config.value(path) for path in case.parameters}  # all parameters
         case = case.model_copy(update={"controller": last.controller, "parameters": parameters})
-        name = f"{case.played}.json"
-        event.client.send_file_download(name, case.text().encode(), save_immediately=True)
+        name, data = f"{case.played}.json", case.text().encode()
+        event.client.send_file_download(name, data, save_immediately=True)
 
     def _size(self) -> tuple[int, int]:
         for name, box in self._sizes.items():

@@ -37,8 +37,17 @@ class TuningPanel(Panel):
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
         self.on_update(self._all, lambda _: self._show_advanced())
         for section in sections():
+            first = section.name == "border"
             paths = tuple(each.path for each in section.tunables)
-            self._add_folder(section.title, paths, expand=section.name == "border")
+            with self._gui.add_folder(section.title, expand_by_default=first) as folder:
+                for path in paths:
+                    self.widgets[path] = ParameterWidget(viewer, path)
+                if first:  # below the widgets, which must not move under the pointer
+                    self.changing = self._gui.add_html("")
+                undo, icon = (lambda _, paths=paths: tuning.reset(paths)), viser.Icon.ARROW_BACK_UP
+                look: Any = {"color": "gray", "hint": "Reset the parameters of this folder"}
+                reset = self.button("Defaults", undo, icon, disabled=True, **look)
+            self._folders.append((folder, reset, section.title, paths))
         with self._gui.add_folder("File"):
             hint = "Name of the file, without .toml"
             self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
@@ -64,18 +73,6 @@ class TuningPanel(Panel):
             raise ConfigError("nothing to reset: all parameters have their defaults")
         self._tuning.reset()
 
-    def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
-        folder = self._gui.add_folder(title, expand_by_default=expand)
-        with folder:
-            for path in paths:
-                self.widgets[path] = ParameterWidget(self._viewer, path)
-            if expand:  # below the widgets, which must not move under the pointer
-                self.changing = self._gui.add_html("")
-            look = {"color": "gray", "hint": "Reset the parameters of this folder"}
-            undo, icon = lambda _: self._tuning.reset(paths), viser.Icon.ARROW_BACK_UP
-            reset = self.button("Defaults", undo, icon, disabled=True, **look)
-        self._folders.append((folder, reset, title, paths))
-
     def _show_advanced(self) -> None:
         advanced = self._all.value
         for each in self.widgets.values():
@@ -84,7 +81,7 @@ class TuningPanel(Panel):
 
     def _save(self, event: Any) -> None:
         name = self._name.value.strip()
-        data = save_config(self._tuning.config, name).encode("utf-8")
+        data = save_config(self._tuning.config, name).encode()
         event.client.send_file_download(file_name(name), data, save_immediately=True)
 
     def _load(self, event: Any) -> None:
@@ -117,11 +114,26 @@ class ParameterWidget(Panel):
 
     def __init__(self, viewer: Viewer, path: str) -> None:
         super().__init__(viewer)
-        self.about = tunable(path)
+        self.about = about = tunable(path)
         self.is_marked = False  # whether the value differs from its default; set before each update
-        self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
-        self.handle, self.exponent = self._widgets(self._tuning.config.value(path))
-        """The widget, and the slider of the value's decimal logarithm or None."""
+        self._tuning, self._title = viewer.shared.tuning, unbroken(about.title)
+        gui, value, low, high = self._gui, self._tuning.config.value(path), about.low, about.high
+        look: dict[str, Any] = {"hint": f"{about.help} {about.allowed}"}
+        self.exponent: Any = None  # slider of the value's decimal logarithm
+        if about.choices:
+            look = {"initial_value": str(value), "hint": about.help}
+            self.handle: Any = gui.add_dropdown(self._title, about.choices, **look)
+        elif about.log:
+            look |= {"min": low, "max": high, "step": 1.0}
+            self.handle = gui.add_number(self._title, float(value), **look)
+            label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
+            look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
+            self.exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
+        else:
+            step = slider_step(low, high)
+            self.handle = gui.add_slider(self._title, low, high, step, float(value), **look)
+        if not about.choices:
+            self.handle.precision = 6
         for handle in filter(None, (self.handle, self.exponent)):
             self.on_update(handle, self._set)
 
@@ -141,24 +153,6 @@ class ParameterWidget(Panel):
         finally:
             value = self._tuning.config.value(self.about.path)
             event.target.value = _power_of(value) if is_power else value
-
-    def _widgets(self, value: float | str) -> tuple[Any, Any]:
-        """Create a list or a slider, and None; or a number box, and a slider of its logarithm."""
-        gui, about, title, exponent = self._gui, self.about, self._title, None
-        if about.choices:
-            look: dict[str, Any] = {"initial_value": str(value), "hint": about.help}
-            return gui.add_dropdown(title, about.choices, **look), exponent
-        low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
-        if about.log:
-            handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=hint)
-            label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
-            look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
-            exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
-        else:
-            step = slider_step(low, high)
-            handle = gui.add_slider(title, low, high, step, float(value), hint=hint)
-        handle.precision = 6
-        return handle, exponent
 
 
 def _power_of(value: float | str) -> float:

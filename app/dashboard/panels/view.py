@@ -1,5 +1,6 @@
 """Tab "View": layers, camera and plots of one viewer."""
 
+from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -14,14 +15,14 @@ class ViewPanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._view = self._gui, viewer.view
-        self._widgets: dict[str, Any] = {}  # widgets by the field of the view
+        gui, view = self._gui, viewer.view
+        self._values: list[tuple[Any, Callable[[], Any]]] = []  # widgets, and getters of values
         with gui.add_folder(BORDER):
-            for pair, quantity in self._view.borders.items():
+            for pair, quantity in view.borders.items():
                 hint = f"Reachable points at the buffer distance from the base: DBB of {pair}, (3)"
-                spoken = viewer.shared.spoken[pair]
-                choice = gui.add_dropdown(spoken, CHOICES, initial_value=quantity, hint=hint)
-                self.on_update(choice, partial(self._colour, pair))
+                spoken, put = viewer.shared.spoken[pair], partial(view.borders.__setitem__, pair)
+                box = gui.add_dropdown(spoken, CHOICES, initial_value=quantity, hint=hint)
+                self._bind(box, partial(view.borders.get, pair), put)
             self._add(BORDER)
         with gui.add_folder(LAYERS):
             self._add(LAYERS)
@@ -29,37 +30,33 @@ class ViewPanel(Panel):
             self.buttons("Camera", {name: partial(viewer.look, name) for name in PRESETS})
             self._add(PAGE)
         with gui.add_folder("Plots", expand_by_default=False):
-            titles = [plan.title for plan in viewer.shared.plans]
-            self._plots = {
-                title: self.on_update(gui.add_checkbox(title, False), partial(self._plot, title))
-                for title in titles
-            }
+            for title in (plan.title for plan in viewer.shared.plans):
+                box = gui.add_checkbox(title, False)
+                put = partial(self._plot, title)
+                self._bind(box, lambda title=title: title in view.plots, put)
 
     def update(self, moment: Moment) -> None:
-        for field, widget in self._widgets.items():
-            self.follow(widget, getattr(self._view, field))
-        for title, box in self._plots.items():
-            self.follow(box, title in self._view.plots)
+        for widget, value in self._values:
+            self.follow(widget, value())
+
+    def _bind(self, widget: Any, get: Callable[[], Any], put: Callable[[Any], None]) -> None:
+        self.on_update(widget, lambda event: put(event.target.value))
+        self._values.append((widget, get))
 
     def _add(self, folder: str) -> None:
+        """Add a widget for each field of the view that belongs to this folder."""
+        view = self._viewer.view
         for each in fields(View):
-            about = each.metadata
-            if about.get("folder") != folder:
+            if (about := each.metadata).get("folder") != folder:
                 continue
-            value = getattr(self._view, each.name)
+            value = getattr(view, each.name)
             look: Any = {"initial_value": value, "hint": about["hint"]}
             if isinstance(value, bool):
                 widget: Any = self._gui.add_checkbox(about["label"], **look)
             else:
                 widget = self._gui.add_dropdown(about["label"], LABELS, **look)
-            self._widgets[each.name] = self.on_update(widget, partial(self._assign, each.name))
+            self._bind(widget, partial(getattr, view, each.name), partial(setattr, view, each.name))
 
-    def _assign(self, field: str, event: Any) -> None:
-        setattr(self._view, field, event.target.value)
-
-    def _colour(self, pair: str, event: Any) -> None:
-        self._view.borders[pair] = event.target.value
-
-    def _plot(self, title: str, event: Any) -> None:
-        plots = self._view.plots
-        self._view.plots = plots | {title} if event.target.value else plots - {title}
+    def _plot(self, title: str, chosen: bool) -> None:
+        view = self._viewer.view
+        view.plots = view.plots | {title} if chosen else view.plots - {title}

@@ -14,20 +14,18 @@ from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 
-UNDISTURBED = (0.05, 0.2)
-"""[m/s²], [rad/s²] slack below which the end-effector's task counts as met."""
+UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack with which the task counts as met
 BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
 _BODY = "font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em"
-_LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
-    ("base avoidance", "rows of the base in T_sca, (16)", ("base",)),
-    ("arm–base repulsion", "rows of the repulsive method", ("arm",)),
-    ("arm self-repulsion", "rows (20) between links of the arm", ("links",)),
-    ("end-effector task", "slack w_2 of (26)", ("ee",)),
-    ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
-)
-"""Label, hint, and names of the possible levels of each row."""
+_LEVELS: dict[tuple[LevelName, ...], tuple[str, str]] = {  # label and hint of a row for levels
+    ("base",): ("base avoidance", "rows of the base in T_sca, (16)"),
+    ("arm",): ("arm–base repulsion", "rows of the repulsive method"),
+    ("links",): ("arm self-repulsion", "rows (20) between links of the arm"),
+    ("ee",): ("end-effector task", "slack w_2 of (26)"),
+    ("posture", "free"): ("posture", "joint accelerations of the posture task, or of the free arm"),
+}
 
 
 class WhyPanel(Panel):
@@ -59,11 +57,10 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
     force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
     limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
-    more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
     rows = (
         _row("Force on the base", "sum of the forces (14) at the acting points", force),
         _row("Base motion", "true velocity of the base", words.speeds(snapshot.base_velocity)),
-        _row("Limited by", "limits that are active in this control step", limit + more),
+        _row("Limited by", "limits that are active in this control step", limit + _more(bounds)),
     )
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
@@ -77,14 +74,26 @@ def details_html(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return small("There are no details for this instant.")
-    if why.bearing is None:
+    if (pair := why.bearing) is None:
         return small("Avoidance does not act: no link pair is inside its buffer.")
+    name = words.pair(pair.a, pair.b, why.chain) + _more(why.near)
+    distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
+    beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
+    near = (
+        _row("pair", "deepest overlap; otherwise most active pair, those of the base first", name),
+        _row("distance d", "signed distance of its convex bodies", distance),
+        _row("activation β", "0 outside the buffer, 1 at full activation", beta),
+    )
+    bounds = [words.bound(each, why.chain) for each in why.bounds] or [tag("span", "none", FAINT)]
+    if len(bounds) > BOUNDS_SHOWN:
+        bounds = [*bounds[: BOUNDS_SHOWN - 1], f"and {len(bounds) - BOUNDS_SHOWN + 1} more"]
+    bounds += ["&nbsp;"] * (BOUNDS_SHOWN - len(bounds))
     tables = (
-        _table("Nearest active pair", _near_rows(snapshot, why, why.bearing))
+        _table("Nearest active pair", near)
         + _table("Force on the base", _force_rows(why), why.axes)
         + _table("Acting point p_act", _score_rows(why))
         + _table("Task error, by priority", _level_rows(why.levels))
-        + _table("Active limits", _bound_rows(why))
+        + _table("Active limits", [row(cell(text, ONE_LINE)) for text in bounds])
     )
     return f'<div style="{_BODY}">{tables}</div>'
 
@@ -123,9 +132,9 @@ def sentence(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
-    first, *more = contacts(snapshot) or [""]
-    also = f" (+{len(more)})" if more else ""
-    return (f"{first.capitalize()} touch{also}. " if first else "") + _answer(snapshot, why)
+    touches = contacts(snapshot)
+    first = f"{touches[0].capitalize()} touch{_more(touches)}. " if touches else ""
+    return first + _answer(snapshot, why)
 
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
@@ -134,7 +143,15 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
         return f"Fallback command, because {cause}: torques damp the arm, and the base brakes."
     pair = why.bearing
     if pair is None:
-        return _nothing_near(snapshot, why)
+        name, _, d, *_ = snapshot.nearest
+        a, _, b = name.partition("-")
+        near = f"{_the(b, why)} is {millimetres(d)} from {_the(a, why)}"
+        if why.controller == "none":
+            return f"Nothing is inside the buffer: {near}. Avoidance is off."
+        text = f"Nothing is inside the buffer: {near} (buffer {millimetres(snapshot.d_b)})"
+        moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
+        aim = "to follow the end-effector's task" if why.mode == "tracking" else "and comes to rest"
+        return f"{text}; the base {moves} {aim}." if moves else f"{text}."
     if why.controller == "barrier":
         return _barrier(snapshot, why, pair)
     cause = _cause(pair, why, snapshot.d_b)
@@ -151,21 +168,6 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
     return _gives_way(snapshot, why, pair, cause)
 
 
-def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
-    name, _, d, *_ = snapshot.nearest
-    a, _, b = name.partition("-")
-    text = f"Nothing is inside the buffer: {_the(b, why)} is {millimetres(d)} from {_the(a, why)}"
-    if why.controller == "none":
-        return f"{text}. Avoidance is off."
-    text += f" (buffer {millimetres(snapshot.d_b)})"
-    moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
-    if moves is None:
-        return f"{text}."
-    if why.mode == "tracking":
-        return f"{text}; the base {moves} to follow the end-effector's task."
-    return f"{text}; the base {moves} and comes to rest."
-
-
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str) -> str:
     """Describe dbb or hqp: the base gives way; with dbb, the arm can also limit the approach."""
     also = ""
@@ -173,13 +175,12 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
         a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
         also = f" {b.capitalize()} and {a} are also pushed apart."
     if pair.above >= STEEP:  # base motion cannot help
+        least = millimetres(snapshot.config.barrier.d_min)
+        rest = f"; the arm itself comes no nearer than {least}"
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.limited:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
-        else:
-            least = millimetres(snapshot.config.barrier.d_min)
-            rest = f"; the arm itself comes no nearer than {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
     (x, y), (forward, left, _) = _total(why, "f", 2), planar(why.axes, snapshot.base_velocity)
@@ -191,19 +192,18 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     """Describe the controller "barrier": the text has the minimum distance, not d_b."""
-    limited = next((p for p in why.near if p.limited), None)
-    shown = limited or pair
-    cause = _cause(shown, why, None)
     least = millimetres(snapshot.config.barrier.d_min)
-    if limited is None:
+    pair = next((each for each in why.near if each.limited), pair)
+    cause = _cause(pair, why, None)
+    if not pair.limited:
         return f"{cause}; this method acts only near its minimum distance of {least}."
-    moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
+    moves = _base_moves(snapshot, why, pair) or "the base stays where it is"
     effect = _task_effect(why, limited=True) + _off_target(snapshot)
     return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {effect}."
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Describe the overlap of a pair, or its distance and, unless it is None, d_b [m]."""
+    """Describe the overlap of a pair, or its distance and, unless `d_b` is None, d_b [m]."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
@@ -249,18 +249,6 @@ def _the(name: str, why: Explanation) -> str:
     return f"the {words.body(name, why.chain)}"
 
 
-def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str]:
-    more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
-    name = words.pair(pair.a, pair.b, why.chain) + more
-    distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
-    beta = f"{pair.beta:.2f}" + (", approach limited" if pair.limited else "")
-    return [
-        _row("pair", "deepest overlap; otherwise most active pair, those of the base first", name),
-        _row("distance d", "signed distance of its convex bodies", distance),
-        _row("activation β", "0 outside the buffer, 1 at full activation", beta),
-    ]
-
-
 def _force_rows(why: Explanation) -> list[str]:
     """Return rows: the force's direction, its two parts and sum, and accelerations of the base."""
     n_b, f = len(why.axes), _total(why, "f", 2)
@@ -303,24 +291,13 @@ def _score_rows(why: Explanation) -> list[str]:
 
 
 def _level_rows(levels: Sequence[Level]) -> list[str]:
-    by_name = {level.name: level for level in levels}
     rows = []
-    for label, hint, names in _LEVELS:
-        level = next((by_name[name] for name in names if name in by_name), None)
+    for names, about in _LEVELS.items():
+        level = next((each for each in levels if each.name in names), None)
         parts = ((level.linear, "m/s²"), (level.angular, "rad/s²")) if level else ()
         texts = [f"{value:.2f} {unit}" for value, unit in parts if (value or 0.0) >= 0.005]
-        none = '<span style="opacity:.8">0</span>' if level else _NONE
-        rows.append(_row(label, hint, ", ".join(texts) or none))
+        rows.append(_row(*about, ", ".join(texts) or (tag("span", "0", FAINT) if level else _NONE)))
     return rows
-
-
-def _bound_rows(why: Explanation) -> list[str]:
-    texts = [words.bound(bound, why.chain) for bound in why.bounds]
-    if len(texts) > BOUNDS_SHOWN:
-        texts = [*texts[: BOUNDS_SHOWN - 1], f"and {len(texts) - BOUNDS_SHOWN + 1} more"]
-    texts = texts or ['<span style="opacity:.8">none</span>']
-    texts += ["&nbsp;"] * (BOUNDS_SHOWN - len(texts))
-    return [row(cell(text, ONE_LINE)) for text in texts]
 
 
 def _table(title: str, rows: Sequence[str], axes: Sequence[Axis] = ()) -> str:
@@ -337,6 +314,11 @@ def _table(title: str, rows: Sequence[str], axes: Sequence[Axis] = ()) -> str:
 def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
     cells = (cell(value, RIGHT, ONE_LINE, span=span) for value in values)
     return row(cell(label, FAINT, ONE_LINE), *cells, hint=hint)
+
+
+def _more(items: Sequence[object]) -> str:
+    """Return the number of items after the first one, as in " (+2)"; "" if there are none."""
+    return f" (+{len(items) - 1})" if len(items) > 1 else ""
 
 
 def _total(why: Explanation, part: str, n: int) -> list[float]:

@@ -1,7 +1,7 @@
 """Borders: coloured points that move with the base, a slice, and values under the pointer."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -9,8 +9,8 @@ import viser
 from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resultant_force
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderSearch
-from app.border.offset import OffsetContours, offset_contours
+from app.border.nearest import OffsetContours, border_struct
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
 from app.config import BorderConfig
 from app.dashboard import phrases as words
@@ -29,6 +29,7 @@ MAX_POINTS = 20_000  # [-] of a drawn border; more points only hide the scene an
 LIGHT_POINTS = 4000  # [-] of a border on a page with low detail
 POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
 LIGHT_SIZE = 0.006  # [m] with `LIGHT_POINTS`
+_LOOK: Any = {"point_shape": "circle", "precision": "float32"}
 _EVERY = 3  # [-] every third point of a contour is drawn
 _INSIDE = 0.5  # [-] assumed distance of the arm from the base for a `_Probe`, relative to d_b
 _NEAR = 8.0  # [px] largest distance of a point from the pointer
@@ -60,17 +61,18 @@ class Borders:
         self._model, self._clouds = model, clouds
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
-        # A cache of functools would refer to this object, which then waits for the collector.
+        # With a cache of functools, only the garbage collector could delete this object.
         self._kept: dict[tuple[object, ...], ColouredCloud | None] = {}
 
     def coloured(
-        self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
+        self, pair: str, quantity: str, border: BorderConfig, *, whole: bool, light: bool = False
     ) -> ColouredCloud | None:
-        """Return at most `MAX_POINTS` of a pair's border, coloured by one of `QUANTITIES`.
+        """Return points of a pair's border, coloured by one of `QUANTITIES`; None without points.
 
-        Points above the base's top are omitted unless `whole`. Returns None if there is no point.
+        Their number is at most `MAX_POINTS`, or `LIGHT_POINTS` if `light`. Points above the base's
+        top are omitted unless `whole`.
         """
-        key = pair, quantity, border.d_b, border.eps, None if whole else self.top
+        key = pair, quantity, border.d_b, border.eps, None if whole else self.top, light
         if key not in self._kept:
             if len(self._kept) >= 32:
                 self._kept.pop(next(iter(self._kept)))
@@ -82,21 +84,22 @@ class Borders:
         return offset_contours(self._model, border.d_b)
 
     def _colour(
-        self, pair: str, quantity: str, d_b: float, eps: float, top: float | None
+        self, pair: str, quantity: str, d_b: float, eps: float, top: float | None, light: bool
     ) -> ColouredCloud | None:
         points = construct_dbb(self._clouds[pair], d_b, eps).points
         if top is not None:
             points = points[points[:, 2] <= top]
         if not len(points):
             return None
-        field = self.fields[pair]
         measure = "singularity" if quantity == "determinant" else quantity
-        values = getattr(field, measure)(points)
+        values = getattr(self.fields[pair], measure)(points)
         keep = subsample(len(points), MAX_POINTS)
+        keep = keep[subsample(len(keep), LIGHT_POINTS)] if light else keep
         low, high = float(values.min()), float(values.max())
         u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)
         title, unit = title_of(quantity, self._model.description.base.kind)
-        legend = Legend(pair, title, unit, d_b, low, high, len(keep), len(points), top)
+        name, sizes = words.spoken(pair, self._model.body_names), (len(keep), len(points))
+        legend = Legend(name, title, unit, d_b, low, high, *sizes, top)
         return ColouredCloud(points[keep], viridis(u), legend)
 
     def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:
@@ -106,7 +109,7 @@ class Borders:
         n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
         d_b, d = snapshot.d_b, _INSIDE * snapshot.d_b
         p_b = p - (d_b - d) * n
-        finder = ActingPointFinder(BorderSearch(self.surface(snapshot.border).table), field)
+        finder = ActingPointFinder(border_struct(self.surface(snapshot.border)), field)
         found = finder.find_acting_point(p_b, d, config.force)
         assert found is not None, "a drawn border has contours"
         f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
@@ -127,9 +130,7 @@ def subsample(total: int, most: int) -> Array:
     return np.random.default_rng(0).permutation(total)[:most]
 
 
-class _Drawn(NamedTuple):
-    """State of a pair's border in the scene; without a node if it is hidden or has no points."""
-
+class _Drawn(NamedTuple):  # a pair's border in the scene, if it is visible and has points
     cloud: ColouredCloud | None = None
     node: viser.PointCloudHandle | None = None
     request: tuple[object, ...] = ()  # values on which the drawing depends
@@ -157,35 +158,22 @@ class DrawnBorders:
         """
         changed = False
         for pair, quantity in view.borders.items():
-            request = (quantity, view.whole_border, view.light, border.d_b, border.eps)
-            before = self._drawn.get(pair, _Drawn())
-            if before.request == request:
+            whole, light = view.whole_border, view.light
+            request = (quantity, whole, light, border.d_b, border.eps)
+            _, node, before = self._drawn.get(pair, _Drawn())
+            if before == request:
                 continue
-            changed, found, drawn = True, None, _Drawn()
+            changed, cloud = True, None
             if quantity != HIDDEN:
-                found = self._borders.coloured(pair, quantity, border, whole=view.whole_border)
-            if found is not None:
-                drawn = self._draw(pair, found, light=view.light)
-            elif before.node is not None:
-                before.node.remove()
-            self._drawn[pair] = drawn._replace(request=request)
+                cloud = self._borders.coloured(pair, quantity, border, whole=whole, light=light)
+            if cloud is not None:
+                # One message has points and colours, so that they always match.
+                name, size = f"{ROOT}/border_{pair}", LIGHT_SIZE if light else POINT_SIZE
+                node = self._scene.add_point_cloud(name, *cloud[:2], point_size=size, **_LOOK)
+            elif node is not None:
+                node.remove()
+            self._drawn[pair] = _Drawn(cloud, node if cloud else None, request)
         return changed
-
-    def _draw(self, pair: str, found: ColouredCloud, *, light: bool) -> _Drawn:
-        most, size = (LIGHT_POINTS, LIGHT_SIZE) if light else (MAX_POINTS, POINT_SIZE)
-        keep = subsample(len(found.points), most)
-        legend = found.legend._replace(drawn=len(keep))
-        cloud = ColouredCloud(found.points[keep], found.colours[keep], legend)
-        # One message has points and colours, so that they always match.
-        node = self._scene.add_point_cloud(
-            f"{ROOT}/border_{pair}",
-            cloud.points,
-            cloud.colours,
-            point_size=size,
-            point_shape="circle",
-            precision="float32",
-        )
-        return _Drawn(cloud, node)
 
     def draw_probe(self, canvas: Canvas, snapshot: Snapshot, lens: Lens | None) -> None:
         """Draw the probe at the border's point under the pointer, if there is one."""
@@ -225,8 +213,7 @@ class DrawnBorders:
         for pair, (cloud, _, _) in self._drawn.items():
             if cloud is None:
                 continue
-            points = in_world(snapshot.base_pose, cloud.points)
-            u, v, depth = lens.pixel(points)
+            u, v, depth = lens.pixel(in_world(snapshot.base_pose, cloud.points))
             off = np.hypot(u - pointer[0], v - pointer[1])
             depth[(depth <= 0.0) | (off > _NEAR)] = np.inf
             if depth.min() < nearest:

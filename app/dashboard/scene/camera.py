@@ -1,7 +1,5 @@
 """Camera of one viewer: named views of the robot, and a mode that follows the base."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from time import monotonic
 from typing import Literal, NamedTuple
@@ -30,31 +28,27 @@ _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the pic
 
 
 class Window(NamedTuple):
-    """The area of a page that shows the scene; its upper and lower ends can be covered."""
+    """The area of a page that shows the scene; cards and drawers can cover its ends."""
 
     aspect: float = 1.5  # [-] ratio of width to height
     covered: float = 0.0  # [-] share of the height that is covered from below
     above: float = 0.0  # [-] share of the height that is covered from above
 
     @classmethod
-    def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Return a window from the browser's sizes [px] and covered shares [-], within limits.
+    def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> "Window":
+        """Return a window from sizes [px] and covered shares [-] of a page, within limits.
 
-        Impossible values give `ANY_WINDOW`; the browser's sizes are 0 at first.
+        Impossible values, such as the sizes 0 of a new page, give the default window.
         """
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
-            return ANY_WINDOW
-        aspect = float(np.clip(width / height, 0.4, 4.0))
-        covered = min(float(below), _MOST_COVERED[1])
-        return cls(aspect, covered, min(float(above), _MOST_COVERED[0] - covered))
+            return cls()
+        aspect, covered = min(max(width / height, 0.4), 4.0), min(below, _MOST_COVERED[1])
+        return cls(aspect, covered, min(above, _MOST_COVERED[0] - covered))
 
     @property
     def edges(self) -> tuple[float, float]:
         """Lower and upper edge [-] of the uncovered part; the picture is from −1 to 1."""
         return 2.0 * self.covered - 1.0, 1.0 - 2.0 * self.above
-
-
-ANY_WINDOW = Window()  # default of an unknown window
 
 
 class Preset(NamedTuple):
@@ -81,8 +75,9 @@ PRESETS = {  # by name
 class Camera:
     """Moves the camera of one client.
 
-    The browser reports each new position after a delay, together with the viewer's own changes. So
-    a new step waits until the last position is confirmed: otherwise one of the changes is lost.
+    The browser reports each new position after a delay, together with the viewer's own changes.
+    Therefore the program moves the camera again only after the browser has confirmed the last
+    position; otherwise the viewer's change would be lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -184,18 +179,15 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        The cases, only without a pull (`busy`) and after the browser's confirmation: (a) The robot
-        was not in sight since the start of a run. (b) The camera follows (`on`), and the base has
-        moved by more than `_MOVED` out of sight. (c) The camera follows, still has a preset of the
-        whole robot or of the pair, and does not show the end-effector of the robot or of a near
-        ghost. In each case, also during a pull: a run with a door starts with the preset "door",
-        and a run without a door changes "door" to "iso".
+        Without a pull (`busy`), this happens (a) if the robot was not in sight since the start of a
+        run, (b) if the camera follows (`on`) and the base has moved by more than `_MOVED` out of
+        sight, and (c) if the camera follows, still has a preset of the whole robot or of the pair,
+        and does not show the end-effector of the robot or of a near ghost. Also during a pull, the
+        start of a run with a door selects the preset "door", and without a door "iso" replaces it.
         """
-        before, self._before = self._before, snapshot
-        begun = before is not None and (
-            not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)
-        )
-        self._begun = self._begun or begun
+        before, self._before = self._before or snapshot, snapshot
+        begun = not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)
+        self._begun |= begun
         if begun and "door" in (first_view(snapshot), self._preset):
             self.begin(snapshot)
         if busy or self._waits():
@@ -226,7 +218,7 @@ class Camera:
     async def _hear(self, camera: viser.CameraHandle) -> None:
         """Handle a report of the browser, which may confirm the position that was set last."""
         there = self._set is not None and _near(camera.position, self._set)
-        self._arrived = self._arrived or there
+        self._arrived |= there
         # A slow browser reports its old position for seconds: the new one has not arrived yet.
         late = _near(camera.position, self._from)
         if there or (monotonic() > self._set_at + 0.3 and not late):  # [s] for the answer
@@ -243,21 +235,21 @@ def first_view(snapshot: Snapshot) -> Literal["iso", "door"]:
 
 
 def placed(
-    preset: Preset, shown: Sequence[Snapshot], extent: Array, window: Window = ANY_WINDOW
+    preset: Preset, shown: Sequence[Snapshot], extent: Array, window: Window | None = None
 ) -> tuple[Array, Array]:
     """Return eye and target (3,) [m] of a preset in the world.
 
-    The picture shows the preset's target (`Preset.of`) in all snapshots, at least one. The
-    direction is relative to the heading of the base in the middle snapshot, or to the closed door
-    for the preset "door". `extent` has points (N, 3) [m] of the robot in its ready posture, in the
-    base's frame.
+    The picture shows the target `Preset.of` in all snapshots, at least one. The direction is
+    relative to the base in the middle snapshot, or to the closed door for the preset "door".
+    `extent` has points (N, 3) [m] of the robot in its ready posture, in the base's frame.
     """
     about = shown[len(shown) // 2]
     away = pin.utils.rotate("z", about.base_pose[2]) @ preset.away
     if preset.of == "door" and about.door is not None:
         door = about.door.door
         away = door.pose(0.0).rotation @ (preset.away * (1.0, -door.side, 1.0))
-    return fit(np.vstack([_to_see(preset.of, each, extent) for each in shown]), away, window)
+    points = np.vstack([_to_see(preset.of, each, extent) for each in shown])
+    return fit(points, away, window or Window())
 
 
 def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:

@@ -49,7 +49,7 @@ class Spot(NamedTuple):
     """Position of a label relative to its point."""
 
     anchor: Anchor  # point of the label that is at the shifted point
-    rise: float  # [px] upward shift of the point
+    rise: float = 0.0  # [px] upward shift of the point
 
 
 def set_apart(
@@ -60,11 +60,11 @@ def set_apart(
 ) -> dict[str, Spot]:
     """Choose spots for labels so that they do not overlap; earlier labels choose first.
 
-    A label for which no spot is free gets the first spot, and overlaps others. `before` has the
-    spots of the previous picture: a label leaves its spot there only for a nearer one, or if its
-    spot is not free. `labels` has coordinates [px] to the right and up, and text, by the label's
-    name. `free` has the left, lower, right and upper edge [px] of the area for labels. `scale` [-]
-    is the size of the labels, relative to `FONT_SCALE`.
+    If no spot is free, a label gets the first spot, and overlaps others. `before` has the spots of
+    the previous picture: a label changes its spot only to a nearer free one, or if its spot is no
+    longer free. `labels` has coordinates [px] to the right and up, and text, by the label's name.
+    `free` has the left, lower, right and upper edge [px] of the area for labels. `scale` [-] is the
+    size of the labels relative to `FONT_SCALE`.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, scale * LINE * k) for k in lines for anchor in ANCHORS]
@@ -78,13 +78,9 @@ def set_apart(
             room = 0.0 if spot == before.get(name) else 4.0  # [px] avoids jumps
             left = u - wide * _BEFORE[spot.anchor.partition("-")[2]]
             low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
-            inside = left >= free[0] and low >= free[1]
-            inside = inside and left + wide <= free[2] and low + tall <= free[3]
+            inside = free[0] <= left <= free[2] - wide and free[1] <= low <= free[3] - tall
             apart = all(
-                left - x >= w + room
-                or x - left >= wide + room
-                or low - y >= h + room
-                or y - low >= tall + room
+                not (-wide - room < left - x < w + room and -tall - room < low - y < h + room)
                 for x, y, w, h in taken
             )
             if (inside and apart) or k == len(spots):
@@ -133,18 +129,17 @@ class Canvas:
 
     def label(self, name: str, place: Array, text: str) -> None:
         """Draw a text at a point (3,) [m] in the world; earlier labels choose their spots first."""
-        if not self.labels:
-            return
-        node = self._node(name, self._scene.add_label, text, anchor=ANCHORS[0])
-        if self._texts:
-            node.text = text
-        self._places[name] = place, node.text
+        if self.labels:
+            node = self._node(name, self._scene.add_label, text, anchor=ANCHORS[0])
+            if self._texts:
+                node.text = text
+            self._places[name] = place, node.text
 
     def lines(self, name: str, lines: Sequence[Array], colour: Rgb, pixels: float) -> None:
-        """Draw lines of one colour, each through points (K, 3) [m], K ≥ 2; `pixels` is the width.
+        """Draw lines, each through points (K, 3) [m], K ≥ 2; `pixels` is the width.
 
-        All segments have one colour: viser takes the colours of single segments as linear colours,
-        and a line that changes from one colour to such colours sometimes stays white.
+        Use `segments` for several colours: viser sometimes draws a line in white if its segments
+        get their own colours later.
         """
         ends = np.concatenate([np.stack([each[:-1], each[1:]], axis=1) for each in lines])
         self.segments(name, ends, np.array(colour, np.uint8), pixels)
@@ -185,11 +180,11 @@ class Canvas:
         scale = min(max(round(high / _SMALL, 1), 1.0), _LARGEST)
         self._spots = {} if lens is None else set_apart(seen, self._spots, lens.free, scale)
         for name, (place, _) in self._places.items():
-            spot, up = self._spots.get(name, Spot(ANCHORS[0], 0.0)), 0.0
+            spot, handle = self._spots.get(name, Spot(ANCHORS[0])), self._handles[name]
             if lens is not None and spot.rise:
-                up = spot.rise * lens.pixel(place)[2] / lens.focal * lens.axes[1]
-            self._handles[name].position, self._handles[name].anchor = place + up, spot.anchor
-            self._handles[name].font_screen_scale = scale * FONT_SCALE
+                place = place + spot.rise * lens.pixel(place)[2] / lens.focal * lens.axes[1]
+            handle.position, handle.anchor = place, spot.anchor
+            handle.font_screen_scale = scale * FONT_SCALE
 
     def _node(self, name: str, add: Callable[..., Any], *values: Any, **look: Any) -> Any:
         """Mark the scene node `name` as drawn, and return it; add it by `add` if it is missing."""

@@ -1,6 +1,6 @@
 """Layers that explain the motion; each layer is a function that draws a part of a snapshot."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
 from app.simulation.plants.door import DoorView, drawn_parts
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import GhostReading, PairReading, Snapshot
+from app.simulation.trace.snapshot import PairReading, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
@@ -24,6 +24,7 @@ _LEAST_FORCE = 0.5  # [N] weaker forces are not drawn
 _LEAST_ACCELERATION = 0.02  # [m/s²], [rad/s²] smaller values are not drawn
 _MOST_ARC = np.deg2rad(300.0)  # [rad] largest arc
 _ARC_POINTS = 24
+_POINTS: dict[str, Rgb] = {"p_n": (240, 240, 245), "p_t": (32, 190, 200), "p_act": colours.ACTING}
 _HANDLE: Rgb = (70, 76, 84)
 _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "case": ((190, 196, 204), 0.5),
@@ -38,12 +39,9 @@ def draw_distances(
     """Draw lines between closest points, thick inside the buffer, and labels by `view.labels`."""
     d_b, pairs = snapshot.d_b, snapshot.pairs
     shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
+    shades = np.repeat(shades[:, None, :], 2, axis=1)
     for kind, inside, pixels in (("outside", False, 1.5), ("inside", True, 4.0)):
-        ends = segments(pairs, d_b, inside=inside)
-        canvas.segments(
-            f"/distances/{kind}", ends, np.repeat(shades[:, None, :], 2, axis=1), pixels
-        )
-    nearest = snapshot.nearest
+        canvas.segments(f"/distances/{kind}", segments(pairs, d_b, inside=inside), shades, pixels)
     for pair in pairs:
         if view.labels == "all" or (view.labels == "active" and pair.d < d_b):
             # Not between base and arm, because the acting points with their labels are there.
@@ -53,23 +51,19 @@ def draw_distances(
             canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.labels == "all" and pair.d < d_b:
             node = f"/distances/{pair.name}"
-            canvas.point(f"{node}/p_a", pair.p_a, COLOURS["near"], 0.009)
-            canvas.point(f"{node}/p_b", pair.p_b, COLOURS["near"], 0.009)
-            if pair is nearest:  # labels of all pairs would overlap
-                canvas.label(f"{node}/p_a_label", pair.p_a, "p_a")
-                canvas.label(f"{node}/p_b_label", pair.p_b, "p_b")
+            for name, point in (("p_a", pair.p_a), ("p_b", pair.p_b)):
+                canvas.point(f"{node}/{name}", point, COLOURS["near"], 0.009)
+                if pair is snapshot.nearest:  # labels of all pairs would overlap
+                    canvas.label(f"{node}/{name}_label", point, name)
 
 
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    If `inside`, the segments of pairs outside the buffer d_b [m] have length 0. Otherwise, the
-    segments of pairs inside the buffer have length 0.
+    If `inside`, segments of pairs outside the buffer d_b [m] have length 0; if not, those inside.
     """
-    ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
-    hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
-    ends[hidden, 1] = ends[hidden, 0]
-    return ends
+    ends = [(p.p_a, p.p_b if (p.d < d_b) == inside else p.p_a) for p in pairs]
+    return np.array(ends, dtype=float).reshape(-1, 2, 3)
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
@@ -79,12 +73,10 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         if size < _LEAST_FORCE:
             continue
         node = f"/acting/{reading.name}"
-        canvas.point(f"{node}/p_n", reading.p_n, (240, 240, 245), 0.011)
-        canvas.point(f"{node}/p_t", reading.p_t, (32, 190, 200), 0.011)
-        canvas.point(f"{node}/p_act", reading.p_act, colours.ACTING, 0.011)
-        if view.labels == "all":
-            canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
-            canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
+        for name, colour in _POINTS.items():
+            canvas.point(f"{node}/{name}", getattr(reading, name), colour, 0.011)
+            if view.labels == "all" and name != "p_act":
+                canvas.label(f"{node}/{name}_label", getattr(reading, name), name)
         # The arrow ends at p_act, because the base would hide an arrow that starts there. Below the
         # base's top, the arm would hide it: then it is above the top.
         x, y, z = reading.p_act
@@ -143,18 +135,19 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     apart = [np.append(ghost.base_pose - base, ghost.q_m - q_m) for ghost in snapshot.ghosts]
     if all(np.abs(each).max() < SAME for each in apart):
         return
-    for i, robot in enumerate((snapshot, *snapshot.ghosts)):
+    robots = zip((snapshot, *snapshot.ghosts), standings(snapshot), strict=True)
+    for i, (robot, (name, near)) in enumerate(robots):
         place = in_world(robot.base_pose, at)
-        name = METHOD_WORDS.get(robot.controller, robot.controller)
-        near = nearness(robot, door=snapshot.door is not None)
         canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {near}")
 
 
-def nearness(robot: Snapshot | GhostReading, *, door: bool) -> str:
-    """Return a robot's clearance in words; `door` means that its arm holds a door."""
-    d, part = robot.clearance, "arm or door" if door else "arm"
-    near = millimetres(abs(d))
-    return f"{part} overlaps its base by {near}" if d < 0.0 else f"{part} {near} from its base"
+def standings(snapshot: Snapshot) -> Iterator[tuple[str, str]]:
+    """Yield method and clearance in words: of the robot, then of each ghost."""
+    part = "arm" if snapshot.door is None else "arm or door"
+    for robot in (snapshot, *snapshot.ghosts):
+        d, near = robot.clearance, millimetres(abs(robot.clearance))
+        text = f"{part} overlaps its base by {near}" if d < 0.0 else f"{part} {near} from its base"
+        yield METHOD_WORDS.get(robot.controller, robot.controller), text
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:
@@ -164,13 +157,12 @@ def draw_door(canvas: Canvas, view: DoorView) -> None:
         colour, opacity = _DOOR_COLOURS[name]
         canvas.box(f"/door/{name}", T, size, colour, opacity)
     top = np.array([0.0, 0.0, door.bottom + door.height + 0.05])  # [m]
-    hinge, closed = door.pose(0.0).translation, door.pose(0.0)
+    hinge = door.pose(0.0).translation
     canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], colours.ACTING, 4.0)
     radius = np.array([0.0, -door.side * 0.30, 0.0])  # [m]
     arcs = (("goal", OPENED, _HANDLE), ("open", view.angle, COLOURS["giving way"]))
     for name, angle, colour in arcs:
-        arc_points = [hinge + top, closed.act(top + radius)]
-        arc_points += [door.pose(a).act(top + radius) for a in np.linspace(0, angle, _ARC_POINTS)]
-        canvas.lines(f"/door/{name}", [np.array([*arc_points, hinge + top])], colour, 3.0)
+        arc = [door.pose(a).act(top + radius) for a in np.linspace(0, angle, _ARC_POINTS)]
+        canvas.lines(f"/door/{name}", [np.array([hinge + top, *arc, hinge + top])], colour, 3.0)
     text = f"{np.degrees(view.angle):.0f}° of {np.degrees(OPENED):.0f}°"
     canvas.label("/door/angle", door.pose(view.angle / 2).act(top + 1.3 * radius), text)

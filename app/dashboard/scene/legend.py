@@ -16,29 +16,25 @@ QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")  # that c
 class BaseMeasure(NamedTuple):
     """Words for the base's factor in the score (10), which `BaseKind.singularity` computes."""
 
-    title: str = "Mobility of the base"  # HTML
-    unit: str = ""  # of the measure and of the score; empty without one
-    label: str = "measure of the base"
-    hint: str = "how well the base moves the point; replaces (7)"
-    score: str = "measure · R"
-
-
-_DETERMINANT = BaseMeasure(
-    title="Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)",
-    unit="m⁴/rad⁴",
-    label="mobility det(J Jᵀ)",
-    hint="(7): 0 on the wheel axis, where the base cannot move the point sideways",
-    score="sign · det · R",
-)
+    title: str  # HTML
+    unit: str  # of the measure and of the score; empty without one
+    label: str
+    hint: str
+    score: str  # formula of the score
 
 
 def measure_of(kind: str) -> BaseMeasure:
-    """Return the words for the mobility of the base, a factor of the score; `kind`: `base.kind`."""
-    return _DETERMINANT if kind == "differential" else BaseMeasure()
+    """Return the words for a kind of base."""
+    if kind != "differential":
+        hint = "how well the base moves the point; replaces (7)"
+        return BaseMeasure("Mobility of the base", "", "measure of the base", hint, "measure · R")
+    title = "Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)"
+    hint = "(7): 0 on the wheel axis, where the base cannot move the point sideways"
+    return BaseMeasure(title, "m⁴/rad⁴", "mobility det(J Jᵀ)", hint, "sign · det · R")
 
 
 class Legend(NamedTuple):
-    pair: str  # name of the pair of arm and base
+    pair: str  # displayed name of the pair of arm and base
     title: str  # name of the quantity, as HTML
     unit: str  # of the quantity; may be empty
     d_b: float  # [m] buffer distance
@@ -78,15 +74,13 @@ def key_html(d_b: float) -> str:
     }
     acting = _signs("●", colours.ACTING) + _signs("→", colours.ACTING)
     accelerates = _signs("→", colours.ACCELERATION)
+    activation = f'<span style="color:{BETA}">▮</span>'
     rows = [
         *((_signs("―", COLOURS[state]), text) for state, text in states.items()),
         (acting, f"acting point and force on the base (0.1 m: {force:.0f} N)"),
         (_signs("→", colours.PERSON), f"force of the person (0.1 m: {force:.0f} N)"),
         (accelerates, f"commanded base acceleration (0.2 m: {push:.0f} m/s²), ω̇ as an arc"),
-        (
-            f'<span style="color:{BETA}">▮</span>',
-            "timeline: activation β, downwards; marks are events (hover for their names)",
-        ),
+        (activation, "timeline: activation β, downwards; marks are events (hover for their names)"),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
         (_signs("―", colours.TRAIL_BASE, colours.TRAIL_EE), "trails of base and end-effector"),
         ("<b>―</b>", "border at the height of the arm's point nearest to the base"),

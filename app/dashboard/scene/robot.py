@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,10 +23,10 @@ from app.strict import Array
 
 logger = logging.getLogger(__name__)
 MAX_FACES = 2500  # [-] aim of the decimation; a link of the Panda has 12,000 to 22,000 faces
-MOST_FACES = 4 * MAX_FACES  # [-] accepted faces of a decimated mesh
 AGGRESSIONS = (3, 5, 7)
-"""Settings of the decimation: the first one with at most `MOST_FACES` faces is used, or the last.
-Higher settings remove parts of meshes that consist of many parts, such as UR5's tubes."""
+"""Settings of the decimation: the first one whose result has at most 4 times the aimed number of
+faces is used, or the last one. Higher settings remove parts of meshes that consist of many parts,
+such as UR5's tubes."""
 LIGHT_FACES = 400  # [-] aim of the decimation for a page with low detail, for each joint and colour
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
 GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
@@ -45,11 +45,10 @@ class Visual(NamedTuple):
     mesh: trimesh.Trimesh
     colour: Rgb
 
-    def corners(self, T: pin.SE3 | None = None) -> Array:
-        """Return the bounding box's corners (8, 3) [m]; T is the joint's pose, or the identity."""
-        placed = self.placement if T is None else T * self.placement
+    def corners(self, T: pin.SE3) -> Array:
+        """Return the bounding box's corners (8, 3) [m] at the joint's pose T."""
         corners = trimesh.bounds.corners(self.mesh.bounds)
-        return trimesh.transform_points(corners, placed.homogeneous)
+        return trimesh.transform_points(corners, (T * self.placement).homogeneous)
 
 
 class LinkPoses:
@@ -72,8 +71,8 @@ class RobotParts:
     def __init__(self, robot: RobotModel, *, apart: bool = False) -> None:
         """Load all parts; raises `AssetError` if the URDF or the mesh of a convex body is missing.
 
-        With `apart`, or for a user's own robot, a separate process reads large meshes. Its start
-        takes a second; its end frees memory that the library for simplification does not return.
+        If `apart`, and for a user's own robot, a separate process reads large meshes. Its end frees
+        memory that the library for simplification does not return.
         """
         self.kinematics = LinkPoses(robot)  # not thread-safe, for the drawing thread
         self.bodies = _bodies(robot, self.kinematics.model)  # of the distance computation
@@ -101,10 +100,13 @@ class RobotParts:
         for visual in self.visuals:
             mesh = visual.mesh.copy().apply_transform(visual.placement.homogeneous)
             groups.setdefault((visual.joint, visual.colour), []).append(mesh)
-        return [
-            Visual(f"light_{i}", joint, pin.SE3.Identity(), _light(meshes), colour)
-            for i, ((joint, colour), meshes) in enumerate(groups.items())
-        ]
+        lights = []
+        for i, ((joint, shade), meshes) in enumerate(groups.items()):
+            whole: Any = trimesh.util.concatenate(meshes)
+            whole.merge_vertices(merge_norm=True)  # undoes the duplication of vertices
+            light = for_display(whole, LIGHT_FACES, AGGRESSIONS[-1:])
+            lights.append(Visual(f"light_{i}", joint, pin.SE3.Identity(), light, shade))
+        return lights
 
     def _extent(self, robot: RobotDescription) -> Array:
         ready = np.array(robot.arm.ready_position)
@@ -121,8 +123,7 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
     for body in robot.description.bodies:
         frame = model.frames[model.getFrameId(body.frame)]
         for i, shape in enumerate(body.shapes):
-            placement = frame.placement * shape.placement()
-            name = f"body_{body.name}_{i}"
+            name, placement = f"body_{body.name}_{i}", frame.placement * shape.placement()
             bodies.append(Visual(name, frame.parentJoint, placement, shape_mesh(shape), BODY))
     return bodies
 
@@ -168,22 +169,16 @@ def load_visuals(description: RobotDescription) -> list[Visual]:
     return visuals
 
 
-def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a mesh to draw: decimated if over `MAX_FACES` faces, and with sharp edges."""
-    if len(mesh.faces) > MAX_FACES:
+def for_display(
+    mesh: trimesh.Trimesh, most: int = MAX_FACES, aggressions: Sequence[int] = AGGRESSIONS
+) -> trimesh.Trimesh:
+    """Return a mesh to draw: decimated if it has over `most` faces, and with sharp edges."""
+    if len(mesh.faces) > most:
         whole = mesh.copy()
         whole.merge_vertices(merge_tex=True, merge_norm=True)  # else no triangles are connected
-        for aggression in AGGRESSIONS:
-            mesh = whole.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
-            if len(mesh.faces) <= MOST_FACES:
+        for aggression in aggressions:
+            mesh = whole.simplify_quadric_decimation(face_count=most, aggression=aggression)
+            if len(mesh.faces) <= 4 * most:
                 break
     # With common vertices, the edges of a box look round, because the browser averages normals.
-    return trimesh.graph.smooth_shade(mesh, angle=CREASE)
-
-
-def _light(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    mesh = trimesh.util.concatenate(meshes)
-    mesh.merge_vertices(merge_norm=True)  # undoes the duplication of vertices
-    if len(mesh.faces) > LIGHT_FACES:
-        mesh = mesh.simplify_quadric_decimation(face_count=LIGHT_FACES, aggression=AGGRESSIONS[-1])
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)

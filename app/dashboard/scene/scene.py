@@ -1,6 +1,5 @@
 """Scene: the robot and all layers, and the drawing of a snapshot."""
 
-from collections.abc import Mapping
 from itertools import zip_longest
 from typing import Any
 
@@ -8,66 +7,18 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.border.dbb import Cloud
-from app.dashboard import phrases as words
-from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
-from app.dashboard.scene.borders import Borders, DrawnBorders
+from app.dashboard.scene.borders import DrawnBorders
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, add_mesh, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_EE, Rgb
 from app.dashboard.scene.robot import RobotParts, Visual
+from app.dashboard.shared import SharedState
 from app.dashboard.verdict import Verdict, judge
 from app.dashboard.view import View
-from app.robot.model import RobotModel
-from app.simulation.loop.loop import LoopHandle
-from app.simulation.plants.door import BODY as DOOR
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
 _TRAILS = {"base": TRAIL_BASE, "end-effector": TRAIL_EE}
-
-
-class SceneData:
-    """Data that all scenes of a robot share."""
-
-    def __init__(
-        self,
-        loop: LoopHandle,
-        model: RobotModel,
-        clouds: Mapping[str, Cloud],
-        parts: RobotParts | None = None,
-    ) -> None:
-        first = loop.latest()
-        self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
-        self.of_door = f"{model.body_names[0]}-{DOOR}"  # pair that exists if there is a door
-        pairs = [pair for pair in first.pairs if pair.name != self.of_door]
-        self.pairs = [pair.name for pair in pairs]  # all pairs but that of a door
-        self.mobile = [pair.name for pair in pairs if pair.mobile]  # pairs of L_m
-        named = (*self.pairs, self.of_door)
-        self.spoken = {name: words.spoken(name, model.body_names) for name in named}
-        self.parts = parts or RobotParts(model)
-        self.borders = Borders(model, clouds)
-        self.tracks = {
-            "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], 0.004)),  # [m]
-            "end-effector": Track(lambda snapshot: snapshot.p_ee),
-        }
-        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]  # get each snapshot
-        self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
-        self._newest = first
-
-    def update(self) -> None:
-        """Add each new snapshot once to all keepers; after a restart, reset the keepers."""
-        before, self._newest = self._newest, self.loop.latest()
-        if not self._newest.follows(before):
-            self.last = -1.0
-            for keeper in self.keepers:
-                keeper.begin()
-        for snapshot in self.loop.history(self.last):
-            if snapshot.run != self._newest.run:
-                return  # restarted just now; the next call resets the keepers
-            self.last = snapshot.t
-            for keeper in self.keepers:
-                keeper.add(snapshot)
 
 
 class RobotScene:
@@ -149,7 +100,7 @@ def node_of(model: pin.Model, joint: int, root: str = ROOT) -> str:
 class Scene:
     """The robot and the layers that explain its motion, without widgets."""
 
-    def __init__(self, scene: viser.SceneApi, data: SceneData, view: View) -> None:
+    def __init__(self, scene: viser.SceneApi, data: SharedState, view: View) -> None:
         """Send all constant objects; each drawing reads `view`."""
         self._scene, self._data, self._view = scene, data, view
         self.robot = RobotScene(scene, data.parts, light=view.light)
@@ -161,10 +112,10 @@ class Scene:
         self._light_up()
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
-        """Draw a snapshot; update texts of labels, and trails, only if `texts`.
+        """Draw a snapshot without its borders; update texts of labels, and trails, only if `texts`.
 
         Returns the verdict, which determines the colours of the lines. The lens determines the
-        positions of labels and the point under the pointer. `border.update` draws the borders.
+        positions of labels and the point under the pointer.
         """
         view = self._view
         dark, light = view.dark, view.light  # the viewer can change them meanwhile
@@ -186,18 +137,17 @@ class Scene:
 
     def _light_up(self) -> None:
         """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black."""
-        scene, light = self._scene, self._light
+        scene, light, dark = self._scene, self._light, self._dark
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
         scene.configure_environment_map(None)  # reflections double the time of software rendering
         sky: Any = {"sky_color": (255, 255, 255), "ground_color": (120, 125, 135)}
         scene.add_light_hemisphere("/lights/sky", intensity=1.2, **sky)
-        dark = self._dark
         scene.add_grid(
             "/floor",
             width=8.0,
             height=8.0,
+            infinite_grid=True,
             cell_size=0.1,
-            section_size=1.0,
             cell_color=(58, 62, 68) if dark else (222, 225, 230),
             section_color=(98, 104, 114) if dark else (176, 182, 192),
             cell_thickness=0.8,
@@ -205,7 +155,6 @@ class Scene:
             fade_distance=9.0,
             fade_strength=1.5,
             shadow_opacity=0.0 if light else 0.35 if dark else 0.22,
-            infinite_grid=True,
         )
 
     def _draw_layers(self, snapshot: Snapshot, verdict: Verdict) -> None:

@@ -21,8 +21,14 @@ from app.robot.model import RobotModel
 from app.simulation.case import RunSpec
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
-from app.simulation.scenarios.posture import PostureSearch, manipulability
-from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver, find_start, point_text
+from app.simulation.scenarios.start import (
+    OUT_OF_REACH,
+    PostureSearch,
+    StartSolver,
+    find_start,
+    manipulability,
+    point_text,
+)
 from app.strict import Array
 
 RULE = (

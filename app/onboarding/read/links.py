@@ -40,6 +40,9 @@ _OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass from the sh
 _ROUNDING = 1e-5  # [-] smallest excess of the sum of two moments over the third, relative to it
 _TINY = 1e-9  # [kg] or [kg m²] largest value that counts as zero
 _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
+_BEGIN = 1 << 16  # [bytes] beginning of a file, searched for damage
+_MARK = codecs.BOM_UTF8  # which many readers take for a part of the first word
+_COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
 
 class LinkShape(NamedTuple):
@@ -64,15 +67,13 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] up to 1,500 corners of each hull, and reproducible random points on its faces,
-        in the link's frame.
-        """
+        """(N, 3) [m] some corners of each hull, and random points on it, in the link's frame."""
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
             count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
-            spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
             step = -(-len(hull.vertices) // _MAX_POINTS)
-            points += [np.asarray(hull.vertices)[::step], np.asarray(spread)]
+            spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
+            points += [np.asarray(hull.vertices)[::step], spread]
         return np.vstack(points)
 
     @property
@@ -90,39 +91,30 @@ def read_geometry(tree: Tree) -> Geometry:
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """The geometry of one link, from its elements with the first tag in `tags` that occurs.
-
-    A RobotFileError names a missing geometry, a missing or unreadable mesh, an invalid number, or a
-    size that is probably not in metres.
+    """The geometry of one link, from its elements with the first tag in `tags` that occurs. An
+    invalid shape, also one that is probably not in metres, raises a RobotFileError.
     """
-    for tag in tags:
-        found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
-        if found:
-            return LinkGeometry(tuple(found), tag == "visual")
-    return LinkGeometry((), False)
+    tag = next((tag for tag in tags if link.find(tag) is not None), "")
+    shapes = (_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag))
+    return LinkGeometry(tuple(shapes), tag == "visual")
 
 
 def _shape(element: Element, where: str) -> LinkShape:
     T = origin(element, where).homogeneous
     if (shape := element.find("geometry/*")) is None:
-        raise RobotFileError(
-            f"{where}: a {element.tag} has no geometry; add a geometry, or remove the {element.tag}"
-        )
+        why = f"{where}: a {element.tag} has no geometry"
+        raise RobotFileError(f"{why}; add a geometry, or remove the {element.tag}")
     mesh, radius = urdf_mesh(shape, where, load_mesh)
     hull = _hull(mesh).apply_transform(T)
     if (size := float(hull.extents.max())) > _LARGEST:
         scale = 0.001 if unit_of(size) == "millimetres" else 0.0254
-        raise RobotFileError(
-            f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres, this "
-            f'looks like {unit_of(size)}; set scale="{scale} {scale} {scale}" for a mesh, or write '
-            "metres"
-        )
+        why = f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres"
+        helps = f'set scale="{scale} {scale} {scale}" for a mesh, or write metres'
+        raise RobotFileError(f"{why}, this looks like {unit_of(size)}; {helps}")
     if shape.tag == "mesh" and size < _SMALLEST:
         stated = f" with scale={shape.get('scale')!r}" if shape.get("scale") else ""
-        raise RobotFileError(
-            f"{where}: its mesh is {1e3 * size:.2g} mm long{stated}; remove the scale of a mesh "
-            "that is in metres, or correct the unit in its file"
-        )
+        helps = "remove the scale of a mesh that is in metres, or correct the unit in its file"
+        raise RobotFileError(f"{where}: its mesh is {1e3 * size:.2g} mm long{stated}; {helps}")
     return LinkShape(mesh.apply_transform(T), hull, shape.tag, radius)
 
 
@@ -149,12 +141,11 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified.
-
-    A RobotFileError is raised if the file cannot be read, or has no triangles.
+    """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified. A
+    RobotFileError is raised if the file cannot be read, or has no triangles.
     """
-    name = f"mesh {path}"
-    end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
+    name, begin = f"mesh {path}", b""
+    end, size = path.suffix[1:].lower() or "stl", path.stat().st_size
     try:
         with path.open("rb") as file:  # a file, not a path, so that no texture is read
             begin = file.read(_BEGIN)
@@ -163,11 +154,18 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
             if end == "dae":
                 _states_unit(path)
             file.seek(len(_MARK) if begin.startswith(_MARK) else 0)
-            scene = trimesh.load(
-                file, file_type=end, force="scene", skip_materials=True, process=False
-            )
+            scene = trimesh.load(file, end, force="scene", skip_materials=True, process=False)
         assert isinstance(scene, trimesh.Scene)
-        return _joined(scene, merge=size < _HEAVY)
+        scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
+        for key, mesh in scene.geometry.items():
+            if not np.isfinite(mesh.vertices).all():  # libraries read these in different ways
+                raise ValueError("a coordinate is not a finite number; export it again")
+            if isinstance(mesh, trimesh.Trimesh):
+                merged = mesh.process() if size < _HEAVY else mesh
+                scene.geometry[key] = _lightened(merged, _CELL / scale)
+        if not len((joined := scene.to_mesh()).faces):
+            raise ValueError("it has no triangles")
+        return joined.apply_scale(scale)
     except (RobotFileError, MemoryError):
         raise
     except ImportError as error:
@@ -182,8 +180,7 @@ load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
     """Advice for an unreadable mesh file, or empty; `begin` is its first part, `end` its format."""
-    if end == "gltf":
-        # For a damaged file, trimesh looks for another .gltf.
+    if end == "gltf":  # for a damaged file, trimesh looks for another .gltf
         if isinstance(error, FileNotFoundError) and not str(error).endswith(".gltf"):
             return " is missing beside it: add this file, or export the mesh as .glb"
         return "; it is damaged: export it again"
@@ -198,71 +195,41 @@ def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
     return ""
 
 
-def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
-    """All triangles of a file as one simplified mesh [m]; with `merge`, equal vertices are merged.
-
-    Coordinates that are not finite are an error, because libraries read them in different ways.
-    """
-    scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
-    for name, mesh in scene.geometry.items():
-        if not np.isfinite(mesh.vertices).all():
-            raise ValueError("a coordinate is not a finite number; export it again")
-        if isinstance(mesh, trimesh.Trimesh):
-            merged = mesh.process() if merge else mesh
-            scene.geometry[name] = _lightened(merged, _CELL / scale)
-    joined = scene.to_mesh()
-    if not len(joined.faces):
-        raise ValueError("it has no triangles")
-    return joined.apply_scale(scale)
-
-
-_BEGIN = 1 << 16  # [bytes] beginning of a file, searched for damage
-_MARK = codecs.BOM_UTF8  # which many readers take for a part of the first word
-_COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
-
-
 def _states_unit(path: Path) -> bool:
-    """Whether a COLLADA file states a unit other than the metre or an up axis other than z, or is
-    not well-formed XML. An invalid unit is an error.
+    """Whether a COLLADA file is damaged, is not in metres, or has x or y upwards; this raises a
+    RobotFileError if the file states a unit that is not a number above zero.
     """
     try:
         with path.open("rb") as file:  # the file's own <asset> is the first one
-            found = (each for _, each in iterparse(file) if each.tag.endswith("asset"))
-            asset = next(found, Element("asset"))
+            asset = next((e for _, e in iterparse(file) if e.tag.endswith("asset")), Element(""))
     except (SyntaxError, ValueError, LookupError):  # XML that is not well-formed; an encoding
         return True
     unit, up = asset.find("{*}unit"), asset.findtext("{*}up_axis", "").strip()
-    stated = floats("1" if unit is None else unit.get("meter", "1"), 1)
-    if not stated or stated[0] <= 0.0:
+    metres = floats("1" if unit is None else unit.get("meter", "1"), 1)
+    if not metres or metres[0] <= 0.0:
         raise RobotFileError(f"mesh {path}: the meter of its <unit> should be a number above zero")
-    return stated[0] != 1.0 or up in ("X_UP", "Y_UP")
+    return metres != [1.0] or up in ("X_UP", "Y_UP")
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether `new-robot` has to convert a mesh file to STL, because other libraries cannot read
-    the file, ignore its unit or up axis, or read it very slowly.
-    """
-    end = path.suffix.lower()
+    """Whether other libraries read a mesh file slowly or not at all, or ignore its unit or axis."""
+    end, large = path.suffix.lower(), path.stat().st_size > _HEAVY
     with path.open("rb") as file:
         marked = file.read(len(_MARK)) == _MARK
-    large = path.stat().st_size > _HEAVY
     return marked or large or end not in MESHES or (end == ".dae" and _states_unit(path))
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """A mesh of at most about `MOST_FACES` triangles, whose hull is nearly that of `mesh`.
-
-    If `mesh` has more triangles, its vertices are merged in cubic cells with the edge `cell`, in
-    the unit of the mesh.
+    """The mesh or, if it has more than `MOST_FACES` triangles, a lighter one with nearly the same
+    hull: all vertices in a cube with the edge `cell` (in the unit of the mesh) are merged.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh
-    keys = np.zeros(len(mesh.vertices), dtype=np.int64)
-    for column in np.asarray(mesh.vertices).T:
-        keys = (keys << 21) + ((column - column.min()) / cell).astype(np.int64)
+    points = np.asarray(mesh.vertices)
+    keys = ((points - points.min(axis=0)) / cell).astype(np.int64) @ [1 << 42, 1 << 21, 1]
     _, first, own = np.unique(keys, return_index=True, return_inverse=True)
-    vertices, faces = np.asarray(mesh.vertices)[first], own[np.asarray(mesh.faces)]
-    del mesh, keys, first, own  # hundreds of megabytes for millions of triangles
+    vertices, faces = points[first], own[np.asarray(mesh.faces)]
+    del mesh, points, keys, first, own  # hundreds of megabytes for millions of triangles
     faces = faces[np.all(faces != np.roll(faces, 1, axis=1), axis=1)]
     light = trimesh.Trimesh(vertices, faces, process=False)
     if len(faces) > MOST_FACES:
@@ -301,21 +268,19 @@ def read_inertias(
     solid = {link: each for link, each in massive.items() if geometry[link].volume > _FLAT}
     for link, each in solid.items():
         _check_inertia(f"link {link!r}", each, geometry[link])
-    for links in ([k for k in part if k in solid] for part in (arm.base_links, moving)):
+    for part in (arm.base_links, moving):
+        links = [link for link in part if link in solid]
         mass = sum(solid[link].mass for link in links)
-        volume = sum(geometry[link].volume for link in links)
-        if mass < _LIGHTEST * volume:
+        if mass < _LIGHTEST * (volume := sum(geometry[link].volume for link in links)):
             raise RobotFileError(
                 f"links {', '.join(links)}: {mass:.3g} kg in {1e3 * volume:.3g} l in total looks "
                 "like tonnes; masses of a URDF are in kilograms; without an <inertial> of a link, "
                 "its mass is assumed from its volume"
             )
     if not assume and massive.keys().isdisjoint(moving):
-        raise RobotFileError(
-            "no link of the arm has a mass: torques cannot be computed; add <inertial>, or set "
-            f"--assume-inertia to assume {ARM_DENSITY:g} kg/m³ in the hulls of its links"
-        )
-
+        why = "no link of the arm has a mass: torques cannot be computed"
+        helps = f"--assume-inertia to assume {ARM_DENSITY:g} kg/m³ in the hulls of its links"
+        raise RobotFileError(f"{why}; add <inertial>, or set {helps}")
     dense = {link: BASE_DENSITY if link in arm.base_links else ARM_DENSITY for link in stated}
     found = {link: _chosen(each, geometry[link], dense[link]) for link, each in stated.items()}
     for links in arm.segments[1:]:  # each joint has to move a mass
@@ -339,10 +304,8 @@ def _check_inertia(where: str, stated: pin.Inertia, shapes: LinkGeometry) -> Non
         why += f"{size:.2g} m looks like kg mm²"
     else:
         return
-    raise RobotFileError(
-        f"{where}: {why}; masses of a URDF are in kilograms, lengths in metres, moments of inertia "
-        "in kg m²"
-    )
+    units = "masses of a URDF are in kilograms, lengths in metres, moments of inertia in kg m²"
+    raise RobotFileError(f"{where}: {why}; {units}")
 
 
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
@@ -377,29 +340,17 @@ def _stated(link: Element) -> pin.Inertia | None:
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None
-    mass, I = float(numbers(element.find("mass"), "value", (0.0,), where)[0]), np.zeros((3, 3))
-    for i, j in zip(*np.triu_indices(3), strict=True):
-        key = f"i{'xyz'[i]}{'xyz'[j]}"
-        I[i, j] = I[j, i] = numbers(element.find("inertia"), key, (0.0,), where)[0]
-    moments = np.linalg.eigvalsh(I)
+    mass = float(numbers(element.find("mass"), "value", (0.0,), where)[0])
+    keys, stated = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz"), element.find("inertia")
+    values = [numbers(stated, key, (0.0,), where)[0] for key in keys]
+    moments, axes = np.linalg.eigh(I := pin.Symmetric3(np.array(values)).matrix())
     if mass < 0 or moments.min() < -1e-6 * max(1.0, np.abs(I).max()):
-        raise RobotFileError(
-            f"{where}: a mass of {mass:g} kg with moments of inertia of "
-            f"{', '.join(f'{value:.3g}' for value in moments)} kg m² is impossible: "
-            "no value may be negative"
-        )
-    return origin(element, where).act(pin.Inertia(mass, np.zeros(3), _possible(I)))
-
-
-def _possible(tensor: Array) -> Array:
-    """The tensor; if its moments violate the triangle inequality, the two smaller ones are raised.
-
-    No real body violates it, and pybullet replaces such moments by zero.
-    """
-    moments, axes = np.linalg.eigh(tensor)
+        listed = ", ".join(f"{value:.3g}" for value in moments)
+        why = f"{where}: a mass of {mass:g} kg with moments of inertia of {listed} kg m²"
+        raise RobotFileError(f"{why} is impossible: no value may be negative")
     moments = np.maximum(moments, 0.0)
-    short = moments[2] * (1 + _ROUNDING) - moments[0] - moments[1]
-    if short <= 0:
-        return tensor
-    moments[:2] += short / 2
-    return axes @ np.diag(moments) @ axes.T
+    if (short := moments[2] * (1 + _ROUNDING) - moments[0] - moments[1]) > 0:
+        # pybullet replaces moments that violate the triangle inequality by zero.
+        moments[:2] += short / 2
+        I = axes @ np.diag(moments) @ axes.T
+    return origin(element, where).act(pin.Inertia(mass, np.zeros(3), I))

@@ -1,7 +1,4 @@
-"""A robot as an untrusted zip: it is unpacked within bounds, and nothing in it is executed.
-
-The expressions of a xacro are Python, so no xacro in a zip is expanded: the zip needs a URDF.
-"""
+"""A robot as an untrusted zip: it is unpacked within bounds, and nothing in it is executed."""
 
 import os
 import re
@@ -14,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from encodings.aliases import aliases
 from functools import lru_cache
-from itertools import compress
 from os.path import isfile  # False also for a name that is too long for a file
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -33,9 +29,12 @@ LARGEST_CONTENT = 500_000_000  # [bytes] largest expanded size of all files
 MOST_FILES = 2000  # [-] largest number of files
 KEPT = (".urdf", ".xml", *FORMATS[:-1], ".bin")  # .bin: numbers of a .gltf
 """Endings of the unpacked files, besides licences; other files, such as programs, are left out."""
+_HIDDEN = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")  # also the files that macOS adds
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest list; an entry has 46 bytes and a name
 _LONGEST_NAME = 200  # [characters]
+_MAX_URDFS = 20  # [-] largest number of URDFs that are read
+_MAX_NAMES = 500  # [-] largest number of links, and of joints, that a list on the page can show
 _UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # These methods expand one chunk at a time; bzip2 and LZMA expand everything that they read.
@@ -44,10 +43,11 @@ _UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSE
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write URDFs, meshes and licences of a zip to a folder; return the paths of all zipped files.
+    """Write URDFs, meshes and licences of a zip to a folder; return the paths of the visible URDFs.
 
-    A RobotFileError is raised if the zip cannot be read or is too large, or if an entry has an
-    invalid path, a link, a password, a duplicate path or a compression other than deflate.
+    A RobotFileError is raised if the zip cannot be read, is too large or has no URDF, or if an
+    entry is a link, has a password or another compression than deflate, or its path is invalid or
+    occurs twice.
     """
     _check_size(archive)
     try:
@@ -61,7 +61,14 @@ def unpack(archive: Path, folder: Path) -> list[str]:
                         shutil.copyfileobj(source, sink)  # at most the size that was checked
     except _UNREADABLE as error:
         raise RobotFileError(f"not a zip that can be read: {error}") from None
-    return [*map(str, files)]
+    visible = [path for path in map(str, files) if not _HIDDEN.fullmatch(path)]
+    if found := sorted(path for path in visible if path.lower().endswith(".urdf")):
+        return found
+    if xacro := next((path for path in map(str, files) if path.endswith(".xacro")), ""):
+        why = f"only {xacro}: a xacro can contain Python, and nothing in a zip is executed"
+        helps = "expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
+        raise RobotFileError(f"no .urdf in it, {why}; {helps}")
+    raise RobotFileError("no .urdf in it; zip the URDF together with its meshes")
 
 
 def _check_size(archive: Path) -> None:
@@ -81,19 +88,16 @@ def _check_size(archive: Path) -> None:
         raise RobotFileError("a ZIP64, the form for archives of over 4 GB; zip it as a plain zip")
     count, directory = struct.unpack_from("<HI", tail, at + 10)
     if count > MOST_FILES or directory > _LARGEST_DIRECTORY:
-        raise RobotFileError(
-            f"a list of {count} files; the limit is {MOST_FILES:,}: leave out all files except the "
-            "URDF and its meshes"
-        )
+        why = f"a list of {count} files; the limit is {MOST_FILES:,}"
+        raise RobotFileError(f"{why}: leave out all files except the URDF and its meshes")
 
 
 def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInfo]:
     """The files of a zip by their paths, without folders; an error if too many or duplicate."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
-        raise RobotFileError(
-            f"it expands to {total / 1e6:,.0f} MB; the limit is {LARGEST_CONTENT / 1e6:.0f} MB"
-        )
+        why = f"it expands to {total / 1e6:,.0f} MB"
+        raise RobotFileError(f"{why}; the limit is {LARGEST_CONTENT / 1e6:.0f} MB")
     if len(infos) > MOST_FILES:  # its record can state a smaller number
         raise RobotFileError(f"{len(infos):,} files; the limit is {MOST_FILES:,}")
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
@@ -122,11 +126,9 @@ def _path(info: zipfile.ZipInfo) -> PurePosixPath:
         "is locked by a password": info.flag_bits & 1,
         "is packed by another method than deflate": info.compress_type not in _BOUNDED,
     }
-    if problem := next(compress(problems, problems.values()), None):
-        raise RobotFileError(
-            f"{name[:_LONGEST_NAME]!r} {problem}; zip the package's folder itself, with plain "
-            "files below it"
-        )
+    if problem := next((text for text, holds in problems.items() if holds), ""):
+        helps = "zip the package's folder itself, with plain files below it"
+        raise RobotFileError(f"{name[:_LONGEST_NAME]!r} {problem}; {helps}")
     return PurePosixPath(name)
 
 
@@ -139,7 +141,7 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):
-        urdfs = _urdfs(unpack(archive, root))
+        urdfs = unpack(archive, root)
         if file is None and len(urdfs) > 1:
             some = ", ".join(urdfs[:20])
             raise RobotFileError(f"it has {len(urdfs)} URDFs; name one by --file: {some}")
@@ -159,50 +161,26 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     return path
 
 
-def _urdfs(names: list[str]) -> list[str]:
-    """The URDFs among the files of a zip, without hidden files and macOS's additions; an error if
-    there is none.
-    """
-    hidden = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")
-    found = sorted(n for n in names if n.lower().endswith(".urdf") and not hidden.fullmatch(n))
-    xacro = next((name for name in names if name.endswith(".xacro")), "")
-    if not found and xacro:
-        raise RobotFileError(
-            f"no .urdf in it, only {xacro}: a xacro can contain Python, and nothing in a zip is "
-            "executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
-        )
-    if not found:
-        raise RobotFileError("no .urdf in it; zip the URDF together with its meshes")
-    return found
-
-
 def _inside(reference: str, folder: Path, root: Path) -> Path:
     """The mesh below `root` to which an address refers; `folder` is the folder of the URDF."""
     names = spellings(reference)
     names += [stored for name in names for stored in _stored(name)]
     printable = filter(str.isprintable, dict.fromkeys(names))  # like all names in a zip
-
-    def search(package: str) -> list[Path]:
-        return [*_named_folders(package, root), folder, *folder.parents]
-
-    places = (each.resolve() for each in mesh_places(printable, folder, search))
-    below = [place for place in places if place.is_relative_to(root)]
-    if not below:
-        raise RobotFileError(
-            f"mesh {reference}: outside of the package; refer to a file in the zip by "
-            "package://PACKAGE/PATH or by a path relative to the URDF"
-        )
+    tops = (folder, *folder.parents)
+    places = mesh_places(printable, folder, lambda name: (*_named_folders(name, root), *tops))
+    resolved = map(Path.resolve, places)
+    if not (below := [place for place in resolved if place.is_relative_to(root)]):
+        why = f"mesh {reference}: outside of the package; refer to a file in the zip by"
+        raise RobotFileError(f"{why} package://PACKAGE/PATH or by a path relative to the URDF")
     if (found := next(filter(isfile, below), None)) is not None:
         return found
     files = [each.relative_to(root) for each in root.rglob("*") if each.is_file()]
     name = PurePosixPath(reference).name
-    same = next((each.as_posix() for each in files if each.name == name), "")
-    near = f" (it has {same!r}, but the paths differ)" if same else ""
-    near = near or did_you_mean(name, (each.name for each in files))
-    raise RobotFileError(
-        f"mesh {reference}: there is no such file in the zip{near}; "
-        f"{', '.join(FORMATS[:-1])} are read"
-    )
+    near = did_you_mean(name, (each.name for each in files))
+    if same := next((each.as_posix() for each in files if each.name == name), ""):
+        near = f" (it has {same!r}, but the paths differ)"
+    why = f"mesh {reference}: there is no such file in the zip{near}"
+    raise RobotFileError(f"{why}; {', '.join(FORMATS[:-1])} are read")
 
 
 def _stored(name: str) -> Iterator[str]:
@@ -224,10 +202,6 @@ def _named_folders(package: str, root: Path) -> list[Path]:
     return [*named, *(each.parent for each in sorted(root.rglob("package.xml")))]
 
 
-_MAX_URDFS = 20  # [-] largest number of URDFs that are read
-_MAX_NAMES = 500  # [-] largest number of links, and of joints, that a list on the page can show
-
-
 class Contents(NamedTuple):
     """Names in a URDF."""
 
@@ -244,11 +218,11 @@ def look_into(archive: Path) -> dict[str, Contents]:
     """
     with temporary_folder() as folder:
         with named_part(archive.name):
-            found = _urdfs(unpack(archive, folder))
+            found = unpack(archive, folder)
         contents, problem = {}, ""
         for name in found[:_MAX_URDFS]:
             try:
-                contents[name] = _contents(folder / name)
+                contents[name] = _contents(read_source(folder / name)[0], Path(name).name)
             except RobotFileError as error:
                 problem = str(error).replace(f"{folder}/", "")
         if not contents:
@@ -256,14 +230,11 @@ def look_into(archive: Path) -> dict[str, Contents]:
         return contents
 
 
-def _contents(path: Path) -> Contents:
-    robot = read_source(path)[0]
+def _contents(robot: ElementTree.Element, name: str) -> Contents:
     for tag, least in (("link", 1), ("joint", 0)):
-        count = len(robot.findall(tag))
-        if not least <= count <= _MAX_NAMES:
-            raise RobotFileError(
-                f"{path.name}: it has {count} {tag}s; {least} to {_MAX_NAMES} are valid"
-            )
+        if not least <= (count := len(robot.findall(tag))) <= _MAX_NAMES:
+            why = f"it has {count} {tag}s; {least} to {_MAX_NAMES} are valid"
+            raise RobotFileError(f"{name}: {why}")
     tree = make_tree(robot)
     endless = tuple(joint.name for joint in tree.joints.values() if joint.kind == "continuous")
     last = max(tree.links, key=lambda link: len(tree.chain(tree.root, link)))

@@ -6,7 +6,6 @@ import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
-from itertools import chain
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from urllib.parse import unquote
@@ -38,19 +37,15 @@ _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can 
 
 
 def locate(source: str) -> Path:
-    """The file of a path, a `file://` address or a `package://` address.
-
-    A RobotFileError is raised if the file does not exist, and the AssetError of
-    `resolve_package_uri` if a `package://` address is wrong.
+    """The file of a path, a `file://` or a `package://` address; raises a RobotFileError if no file
+    is there, and the errors of `resolve_package_uri`.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
     path = resolve_package_uri(source) if scheme == "package" else path
     if not isfile(path):
-        raise RobotFileError(
-            f"{source}: {'it is a folder' if path.is_dir() else 'no such file'}; name a URDF, a "
-            "xacro, a zip or package://PACKAGE/…"
-        )
+        why = "it is a folder" if path.is_dir() else "no such file"
+        raise RobotFileError(f"{source}: {why}; name a URDF, a xacro, a zip or package://PACKAGE/…")
     return followed(path)
 
 
@@ -59,15 +54,14 @@ def read_robot(
 ) -> tuple[Element, list[str], Collection[str]]:
     """The `<robot>` of `read_source`, a sentence on each removed shape, and the arguments' names.
 
-    Each mesh gets its `mesh_address`. Shapes of size 0 are removed. So are visual shapes whose mesh
-    is missing or unreadable, if their link also has a collision shape; any other missing or
-    unreadable mesh raises the RobotFileError of `mesh_address`.
+    Each mesh gets its `mesh_address`. Shapes of size 0 are removed; so are visual shapes for whose
+    mesh `mesh_address` raises a RobotFileError, if their link also has a collision shape.
     """
     robot, known = read_source(path, packages, arguments)
     said = []
     for link, element in shapes_of(robot):
-        name, shape, why = link.get("name"), element.find("geometry/*"), ""
-        if shape is None:
+        name, why = link.get("name"), ""
+        if (shape := element.find("geometry/*")) is None:
             continue
         sizes = [shape.get(key, "") for key in ("size", "radius", "length", "scale")]
         if not all(all(floats(size, n) or [1.0]) for size in sizes for n in (1, 3)):
@@ -75,9 +69,8 @@ def read_robot(
         elif shape.tag == "mesh":
             try:
                 if not (file := shape.get("filename")):
-                    raise RobotFileError(
-                        f"link {name!r}: a mesh has no filename; name its file, or remove the shape"
-                    )
+                    helps = "name its file, or remove the shape"
+                    raise RobotFileError(f"link {name!r}: a mesh has no filename; {helps}")
                 shape.set("filename", mesh_address(file, path.parent, packages))
             except RobotFileError as error:
                 if element.tag == "collision" or link.find("collision") is None:
@@ -103,14 +96,11 @@ def read_source(
     robot = _plain_xml(text)
     if left := _unexpanded(text, robot):
         if arguments is None:
-            raise RobotFileError(
-                f"{path.name}: {left} is unexpanded xacro, which can contain Python and is not "
-                "executed here; expand it: xacro FILE -o robot.urdf"
-            )
+            why = f"{left} is unexpanded xacro, which can contain Python and is not executed here"
+            raise RobotFileError(f"{path.name}: {why}; expand it: xacro FILE -o robot.urdf")
         text, known = _expanded(path, text, packages or {}, arguments)
         refuse_entities(text, path)
-        robot = _plain_xml(text)
-        if left := _unexpanded(text, robot):
+        if left := _unexpanded(text, robot := _plain_xml(text)):
             raise RobotFileError(f"{path}: xacro does not expand {left}; correct it in the file")
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
@@ -143,10 +133,8 @@ def _unexpanded(text: str, robot: Element) -> str:
 def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
     """Refuse elements of xacro without their prefix: present versions of xacro ignore these."""
     for tag in (each.tag for each in robot if each.tag in tags):
-        raise RobotFileError(
-            f"{path}: <{tag}> is xacro without its prefix; write <xacro:{tag}>, and also "
-            "<xacro:NAME> for each call of a macro"
-        )
+        why = f"{path}: <{tag}> is xacro without its prefix; write <xacro:{tag}>"
+        raise RobotFileError(f"{why}, and also <xacro:NAME> for each call of a macro")
 
 
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
@@ -197,7 +185,7 @@ def _split_address(reference: str) -> tuple[str, str, str]:
 
 def mesh_places(names: Iterable[str], folder: Path, packages: Packages) -> Iterator[Path]:
     """Possible files of a mesh by its `spellings`: in its package, or relative to the URDF's folder
-    or the two above. Addresses with a scheme other than `package`, `model` or `file` have none.
+    or the two above; none if the scheme of the address is not `package`, `model` or `file`.
     """
     for name in names:
         scheme, package, path = _split_address(name)
@@ -245,22 +233,21 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
 
 
 def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[Path]:
-    """The possible folders of a package, in the order of search: only the one in `named`; without
-    one, those beside and above the URDF, in ROS's search paths, and of installed packages.
+    """The possible folders of a package: only the one in `named` or, without one, those beside and
+    above the URDF, then those in ROS's search paths, then those of installed packages.
     """
     if package in named:
         yield named[package]
         return
     for parent in (folder, *folder.parents):
         beside = (each.parent for each in parent.glob("*/package.xml"))
-        for each in filter(isdir, chain((parent, parent / package), beside)):
+        for each in filter(isdir, (parent, parent / package, *beside)):
             if package in (each.name, _stated_name(each)):
                 yield each
-    first, second = (  # ROS 1, ROS 2
-        [Path(each) for each in os.environ.get(name, "").split(os.pathsep) if each]
-        for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
-    )
-    for top in filter(isdir, (*first, *(prefix / "share" for prefix in second))):
+    ways = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))  # of ROS 1, of ROS 2
+    listed = ((os.environ.get(name, "").split(os.pathsep), inner) for name, inner in ways)
+    tops = (Path(each) / inner for entries, inner in listed for each in entries if each)
+    for top in filter(isdir, tops):
         found = (top / package, *top.glob(f"*/{package}"), top)
         yield from (each for each in found if each.name == package and isdir(each))
     yield from package_roots(package)
@@ -281,7 +268,7 @@ def _expanded(
     """The result of `_urdf_of`; its errors become a `RobotFileError` with a remedy."""
     with extras_named():
         import xacrodoc  # noqa: F401 - it may be missing
-    try:
+    try:  # macros can produce unlimited text or never end
         return within_budget(_urdf_of, path, text, packages, arguments, size=LARGEST_TEXT)
     except Exception as error:  # xacro's errors have no common base class
         _refuse_unprefixed(path, _plain_xml(text), "include", "macro", "property")
@@ -303,39 +290,31 @@ def _expanded(
 class _Arguments(dict[str, str]):
     """Arguments of a xacro; `known` has the names that the xacro declares or uses."""
 
-    def __init__(self, values: Mapping[str, str]) -> None:
-        super().__init__(values)
-        self.known: set[str] = set()
+    known = frozenset[str]()
 
     def __contains__(self, name: object) -> bool:  # which xacro calls for each <xacro:arg>
-        self.known.add(str(name))
+        self.known |= {str(name)}
         return super().__contains__(name)
 
     def __getitem__(self, name: str) -> str:
-        self.known.add(name)
+        self.known |= {name}
         return super().__getitem__(name)
 
 
 def _urdf_of(
     path: Path, text: str, packages: Folders, arguments: Mapping[str, str]
 ) -> tuple[str, frozenset[str]]:
-    """The URDF of a xacro with this text, and the names of the arguments that it declares or uses.
-
-    Macros can produce unlimited text or never end, so this runs within a budget.
-    """
+    """The URDF of a xacro with this text, and the names of arguments that it declares or uses."""
     import xacro
     from xacro import substitution_args
     from xacrodoc.packages import get_path
 
-    def find(package: str) -> str:
-        found = _package_folders(package, folder=path.parent, named=packages)
-        return str(next(found, None) or get_path(package))
-
+    folders = partial(_package_folders, folder=path.parent, named=packages)
     xacro.init_stacks(str(path))  # relative files of the xacro are in its folder
     xacro.substitution_args_context["filename"] = str(path)
     # $(dirname) is the folder of the present file, as in ROS.
     substitution_args._eval_dirname = lambda _: str(Path(xacro.filestack[-1]).absolute().parent)
-    substitution_args._eval_find = find
+    substitution_args._eval_find = lambda name: str(next(folders(name), None) or get_path(name))
     document, known = xacro.parse(text), _Arguments(arguments)
     xacro.process_doc(document, mappings=known)
-    return document.toxml(), frozenset(known.known)
+    return document.toxml(), known.known

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import takewhile
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -76,10 +76,8 @@ class Tree:
     def check_link(self, name: str, option: str) -> None:
         """Raise a RobotFileError, which names `option` and the links, if no link has this name."""
         if name not in self.links:
-            raise RobotFileError(
-                f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
-                f"links: {_some(self.links)}"
-            )
+            why = f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}"
+            raise RobotFileError(f"{why}; links: {_some(self.links)}")
 
     @cached_property
     def children(self) -> defaultdict[str, list[Joint]]:
@@ -94,10 +92,9 @@ class Tree:
         chain, link = [], tip
         while link != base:
             if link not in self.joint_of:
-                raise RobotFileError(
-                    f"--tip: {tip!r} is not a descendant of --base {base!r}; descendants of "
-                    f"{base!r}: {_some(self.below(base)[1:]) or '(none)'}"
-                )
+                why = f"--tip: {tip!r} is not a descendant of --base {base!r}"
+                some = _some(self.below(base)[1:]) or "(none)"
+                raise RobotFileError(f"{why}; descendants of {base!r}: {some}")
             chain.append(self.joint_of[link])
             link = chain[-1].parent
         return chain[::-1]
@@ -105,10 +102,8 @@ class Tree:
     def below(
         self, link: str, *, without: Collection[str] = (), moving: bool = True
     ) -> tuple[str, ...]:
-        """A link and its descendants, in the order from the link outwards.
-
-        Links beyond the joints in `without` are left out; if `moving` is False, also links beyond
-        joints of the kinds `MOVING`.
+        """A link and its descendants outwards, except beyond joints with names in `without` and, if
+        `moving` is False, beyond joints of the kinds `MOVING`.
         """
         found = [link]
         for name in found:
@@ -129,10 +124,7 @@ def _some(names: Iterable[str]) -> str:
 
 
 def make_tree(robot: Element) -> Tree:
-    """Read the links and joints of a URDF, and check that they form a tree.
-
-    The materials of each visual in `robot` become one material, which is named by its colour. Two
-    robots can have different materials of one name, and some libraries read only the first one.
+    """Read the links and joints of a URDF; the visuals in `robot` get materials named by colour.
 
     A RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
     missing link, the links are not a tree, or a number is invalid.
@@ -152,23 +144,20 @@ def make_tree(robot: Element) -> Tree:
     tree = Tree(links, joints)
     for joint in joints.values():
         if (other := tree.joint_of[joint.child]) is not joint:
-            raise RobotFileError(
-                f"closed chain: the link {joint.child!r} is the child of two joints, "
-                f"{joint.name!r} and {other.name!r}; a URDF is a tree: remove one of them"
-            )
+            why = f"closed chain: the link {joint.child!r} is the child of two joints"
+            helps = "a URDF is a tree: remove one of them"
+            raise RobotFileError(f"{why}, {joint.name!r} and {other.name!r}; {helps}")
     roots = [name for name in links if name not in tree.joint_of]
     if len(roots) > 1:
-        raise RobotFileError(
-            f"the links are not connected: {_some(roots)} are children of no joint; only one link, "
-            "the root, may be the child of no joint"
-        )
+        why = f"the links are not connected: {_some(roots)} are children of no joint"
+        raise RobotFileError(f"{why}; only one link, the root, may be the child of no joint")
     if lost := links.keys() - {link for root in roots for link in tree.below(root)}:
         link = min(lost)
         for _ in lost:  # from a descendant of the closed chain up into it
             link = tree.joint_of[link].parent
         raise RobotFileError(f"closed chain: the link {link!r} is its own descendant")
     materials = {each.get("name"): each for each in robot.findall("material")}
-    for visual in robot.iterfind("link/visual"):
+    for visual in robot.iterfind("link/visual"):  # two robots can use one name for two materials
         rgba = colour(visual, materials)
         for material in visual.findall("material"):
             visual.remove(material)
@@ -186,8 +175,7 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         raise RobotFileError(f"{where}: its type is {kind!r}{near}; {known} are possible")
     ends = {}
     for role in ("parent", "child"):
-        end = element.find(role)
-        ends[role] = link = "" if end is None else str(end.get("link"))
+        ends[role] = link = next((str(e.get("link")) for e in element.iterfind(role)), "")
         if link not in links:
             near = did_you_mean(link, links)
             raise RobotFileError(f"{where}: its {role} is {link!r}, which is not a link{near}")
@@ -201,13 +189,12 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         factor, offset = (float(numbers(leader, key, (x,), where)[0]) for key, x in usual)
         mimic = str(leader.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
-    limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
+    limits: Any = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
     lacking = [key for key in keys if limits[key] is None]
-    unstated = lacking[0] if len(lacking) == 1 else ""
-    limits |= {unstated: 0.0} if unstated else {}
+    if len(lacking) == 1:
+        limits |= {lacking[0]: 0.0, "unstated": lacking[0]}
     T, axis = origin(element, where), axis / max(length, 1e-12)
-    parent, child = ends.values()
-    return Joint(name, kind, parent, child, T, axis, mimic=mimic, unstated=unstated, **limits)
+    return Joint(name, kind, **ends, T_parent_child=T, axis=axis, mimic=mimic, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:
@@ -215,10 +202,8 @@ def _limit(element: Element, key: str, where: str) -> float | None:
     if (word := next((each.get(key) for each in element.iterfind("limit")), None)) is None:
         return None
     if (value := floats(word, 1)) is None:
-        raise RobotFileError(
-            f"{where}: {key}={word!r} should be a finite number; leave it out if there is no "
-            f"limit{without_commas(word)}"
-        )
+        why = f"{where}: {key}={word!r} should be a finite number"
+        raise RobotFileError(f"{why}; leave it out if there is no limit{without_commas(word)}")
     if value[0] < 0.0 and key in ("effort", "velocity"):
         raise RobotFileError(f"{where}: {key}={word!r}: it must not be negative")
     return value[0]
@@ -238,8 +223,8 @@ class Arm(NamedTuple):
     joint moves and the next joint does not. Links on other joints, such as fingers, are included.
     """
     beside: tuple[tuple[str, ...], ...]
-    """Links of each segment that a joint outside of the arm moves, such as a head. The last entry
-    is empty: fingers do not count. The parts of a telescope do not count either."""
+    """Links of each segment that a joint outside of the arm moves, such as a head. Parts of a
+    telescope and links of the last segment, such as fingers, do not count."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -261,46 +246,36 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     _nothing_above(tree, base)
     joints = [joint for joint in chain if joint.moves]
     if far := next((each for each in chain if each.kind in FREE), None):
-        raise RobotFileError(
-            f"--base: the {far.kind} joint {far.name!r} between --base and --tip moves the whole "
-            f"base; set --base {far.child}"
-        )
+        why = f"the {far.kind} joint {far.name!r} between --base and --tip moves the whole base"
+        raise RobotFileError(f"--base: {why}; set --base {far.child}")
     length = sum(float(np.linalg.norm(each.T_parent_child.translation)) for each in chain)
     if length > _LONGEST:
-        raise RobotFileError(
-            f"--tip: the distances between the joints up to {tip!r} sum up to {length:.3g} m: "
-            f"lengths of a URDF are in metres, these look like {unit_of(length)}"
-        )
+        why = f"the distances between the joints up to {tip!r} sum up to {length:.3g} m"
+        units = f"lengths of a URDF are in metres, these look like {unit_of(length)}"
+        raise RobotFileError(f"--tip: {why}: {units}")
     if follower := next((each.name for each in chain if each.kind in MOVING and each.mimic), None):
-        raise RobotFileError(
-            f"--tip: the joint {follower!r} of the arm follows another joint (<mimic>), but each "
-            "joint of the arm needs its own motor; remove the <mimic>, or set a --tip before it"
-        )
+        why = f"--tip: the joint {follower!r} of the arm follows another joint (<mimic>)"
+        helps = "remove the <mimic>, or set a --tip before it"
+        raise RobotFileError(f"{why}, but each joint of the arm needs its own motor; {helps}")
     if not joints:
-        raise RobotFileError(
-            f"--tip: no joint moves {tip!r} relative to --base {base!r}; set a --tip beyond the "
-            "arm's joints, or a --base before them"
-        )
+        why = f"--tip: no joint moves {tip!r} relative to --base {base!r}"
+        raise RobotFileError(f"{why}; set a --tip beyond the arm's joints, or a --base before them")
     first = joints[0]
     fixed_part = [joint.parent for joint in chain[: chain.index(first) + 1]]
     if mount is None:
         mount = first.parent if first.parent != base else first.child
     tree.check_link(mount, "--mount")
     if mount not in (*fixed_part, first.child):
-        raise RobotFileError(
-            f"--mount: {mount!r} is not between --base and the first joint {first.name!r}; "
-            f"choose from: {', '.join(fixed_part[1:]) or first.child}"
-        )
+        why = f"--mount: {mount!r} is not between --base and the first joint {first.name!r}"
+        raise RobotFileError(f"{why}; choose from: {', '.join(fixed_part[1:]) or first.child}")
     names = [joint.name for joint in joints]
     segments = [tree.below(mount, without=names) if mount in fixed_part[1:] else ()]
     segments += [tree.below(joint.child, without=names) for joint in joints]
     beside = (*(_beside(tree, part, joints) for part in segments[:-1]), ())
-    of_arm = {link for segment in segments for link in segment}
-    base_links, rigid_links = (
-        tuple(link for link in tree.below(base, moving=moving) if link not in of_arm)
-        for moving in (True, False)
-    )
-    return Arm(base, tip, mount, tuple(joints), base_links, rigid_links, tuple(segments), beside)
+    of_arm = set().union(*segments)
+    of_base = [tree.below(base, moving=moving) for moving in (True, False)]
+    own, rigid = (tuple(link for link in links if link not in of_arm) for links in of_base)
+    return Arm(base, tip, mount, tuple(joints), own, rigid, tuple(segments), beside)
 
 
 def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
@@ -314,10 +289,8 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 
 
 def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
-    """Whether a moving joint extends a slide, as in a telescope.
-
-    Then `joint` and all joints between it and the slide that are not fixed are prismatic and
-    parallel, with or without `<mimic>`.
+    """Whether a moving joint extends a slide, as in a telescope: all joints from `slide` to `joint`
+    that are not fixed are prismatic and parallel, with or without `<mimic>`.
     """
     turn = np.eye(3)
     for each in (*tree.chain(slide.child, joint.parent), joint):
@@ -329,18 +302,12 @@ def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse a base with an ancestor that has shapes or other children.
-
-    Ancestors above a planar or floating joint do not count.
-    """
+    """Refuse a base with ancestors, up to a joint of `FREE`, that have shapes or other children."""
     above = reversed(tree.chain(tree.root, base))
     for joint in takewhile(lambda each: each.kind not in FREE, above):
         parent = joint.parent
-        beside = [each.child for each in tree.children[parent] if each is not joint]
+        beside = ", ".join(each.child for each in tree.children[parent] if each is not joint)
         solid = any(tree.links[parent].findall(tag) for tag in ("collision", "visual"))
-        if beside or solid:
-            what = f"child links {', '.join(beside)}" if beside else "shapes"
-            raise RobotFileError(
-                f"--base: {parent!r}, an ancestor of {base!r}, has {what}, which the robot would "
-                f"lose; set --base {parent}"
-            )
+        if what := f"child links {beside}" if beside else "shapes" * solid:
+            why = f"--base: {parent!r}, an ancestor of {base!r}, has {what}"
+            raise RobotFileError(f"{why}, which the robot would lose; set --base {parent}")

@@ -30,8 +30,7 @@ class Steering(NamedTuple):
     """The steered front wheels of a car-like base."""
 
     numbers: dict[str, tuple[float, str]]
-    """Wheelbase [m], largest angle [rad] and rate [rad/s], by the field of a description, each with
-    its source."""
+    """Wheelbase [m], largest angle [rad] and rate [rad/s] with their sources, by their names."""
     rolling: tuple[str, ...]  # joints about which the steered wheels roll
     joints: tuple[str, ...]  # steering joints
 
@@ -98,9 +97,8 @@ class _Base(NamedTuple):
             raise RobotFileError(f"{joint.name} is not a wheel: it is {joint.kind}")
         if joint.parent in self.arm.rigid_links:
             return self.wheel(joint)
-        above = self.tree.joint_of[joint.parent]
-        while above.kind == "fixed":
-            above = self.tree.joint_of[above.parent]
+        chain = self.tree.chain(self.arm.base, joint.parent)
+        above = next(each for each in reversed(chain) if each.kind != "fixed")
         why = "turns as the fork of a caster does"
         if above.kind == "prismatic":
             why = f"moves by {_range(above):g} m: too far for a spring"
@@ -118,9 +116,8 @@ class _Base(NamedTuple):
             return self.rigid_wheel(joint)
         except RobotFileError as error:
             turning = ", ".join(each.name for each in joints.values() if turns_round(each))
-            raise RobotFileError(
-                f"--wheels: {error}; joints without limits: {turning or '(none)'}"
-            ) from None
+            endless = f"joints without limits: {turning or '(none)'}"
+            raise RobotFileError(f"--wheels: {error}; {endless}") from None
 
     def stands(self, joint: Joint, floor: float) -> bool:
         """Whether a joint carries a wheel that touches the floor, at the height `floor` [m]."""
@@ -129,11 +126,7 @@ class _Base(NamedTuple):
         return False
 
     def suspends(self, joint: Joint, wheels: Sequence[_Wheel]) -> bool:
-        """Whether a joint hardly moves its wheels while they stand on a level floor.
-
-        A spring has a travel of less than `_TRAVEL` times the wheels' radius. A rocker turns about
-        a horizontal axis between its wheels, so a level floor keeps it at zero.
-        """
+        """Whether a joint is a short spring, or a rocker with a level axis between its wheels."""
         if joint.kind == "prismatic":
             return _range(joint) < _TRAVEL * min(wheel.r for wheel in wheels)
         axis, at = self.axis(joint), self.pose(joint.child).translation
@@ -148,7 +141,7 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Geometry) -> Arm:
         for joint in tree.children[link]:
             if joint.name in arm.names or joint.kind not in ("prismatic", "revolute"):
                 continue
-            below = [tree.joint_of[name] for name in tree.below(joint.child)]
+            below = (tree.joint_of[name] for name in tree.below(joint.child))
             rolling = [j for j in below if turns_round(j) and abs(base.axis(j)[2]) <= _LEVEL]
             with suppress(RobotFileError):  # one of them is no wheel
                 if rolling and base.suspends(joint, [base.wheel(j) for j in rolling]):
@@ -159,18 +152,16 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Geometry) -> Arm:
 def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wheels:
     """Find the driven wheels of a base, and the steering of a car-like one.
 
-    For a holonomic base, or with --wheel-radius, the URDF's wheels are not used: the floor is at
-    the lowest point of the base's shapes, and the base faces the x axis of its link. If wheels,
-    steering or shapes are missing, a RobotFileError names an option that helps.
+    For a holonomic base, or with --wheel-radius and --half-track, the URDF's wheels are not used:
+    the floor is at the lowest point of the base's shapes, and x of the base's link points forward.
+    If wheels, steering or shapes are missing, a RobotFileError names an option that helps.
     """
     base = _Base(tree, arm, geometry)
-    given = request.wheel_radius is not None and request.half_track is not None
+    given = None not in (request.wheel_radius, request.half_track)
     if request.kind == "holonomic" or given:
         if (low := base.lowest(arm.base_links)) is None:
-            raise RobotFileError(
-                f"--base: no link of {arm.base!r} has a shape; add a <collision> to one, or set a "
-                "different --base"
-            )
+            why = f"--base: no link of {arm.base!r} has a shape"
+            raise RobotFileError(f"{why}; add a <collision> to one, or set a different --base")
         floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, low]))
         r, b = request.wheel_radius or 0.0, request.half_track or 0.0
         return Wheels((), (), r, b, floor, None, "from --wheel-radius" if given else "")
@@ -181,9 +172,8 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
 
 
 def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
-    """Whether the links before the arm's first joint reach as low as the links of the base.
-
-    Then they belong to the base: --base may be a frame on the floor, the parent of the real base.
+    """Whether the links before the arm's first joint reach as low as the base. Then they belong to
+    the base: --base may be a frame on the floor, the parent of the real base.
     """
     base = _Base(tree, arm, geometry)
     low, floor = base.lowest(arm.segments[0]), base.lowest(arm.base_links)
@@ -191,39 +181,33 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
 
 
 def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
-    """The driven wheels: the two on the joints or links `named`, or the lowest pair; and all other
-    wheels of the same radius and height in line with one of these two.
-    """
-    wheels: list[_Wheel] = []
-    rigid, why, fixed = base.arm.rigid_links, list[str](), False
-    for joint in base.tree.joints.values():
-        if joint.child in base.arm.base_links[1:] and turns_round(joint):
-            fixed = fixed or joint.parent in rigid
-            try:
-                wheels.append(base.rigid_wheel(joint))
-            except RobotFileError as error:
-                why.append(str(error))
+    """The `_drive` of the two wheels on the joints or links `named`, or of the lowest pair."""
+    found = [j for j in base.tree.joints.values() if j.child in base.arm.base_links[1:]]
+    turning, wheels, why = [*filter(turns_round, found)], list[_Wheel](), list[str]()
+    for joint in turning:
+        try:
+            wheels.append(base.rigid_wheel(joint))
+        except RobotFileError as error:
+            why.append(str(error))
     if named is not None:
         left, right = map(base.named_wheel, named)
         if not _mirrored([left, right]):
-            raise RobotFileError(
-                f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
-                f"{right.r:.4f} m are not two equal wheels on one axle: name one wheel on each side"
-            )
+            one, other = (f"{each.joint.name} of {each.r:.4f} m" for each in (left, right))
+            unlike = "are not two equal wheels on one axle: name one wheel on each side"
+            raise RobotFileError(f"--wheels: {one} radius and {other} {unlike}")
     elif pairs := _mirrored(wheels):
         lowest = min(left.bottom for left, _ in pairs)
         pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
         radii = [left.r for left, _ in pairs]
         if max(radii) > (1 + _ALIKE) * min(radii):
             names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
-            raise RobotFileError(
-                f"--wheels: pairs of different radius may be the driven ones: {names}; "
-                "set --wheels LEFT RIGHT"
-            )
+            problem = f"pairs of different radius may be the driven ones: {names}"
+            raise RobotFileError(f"--wheels: {problem}; set --wheels LEFT RIGHT")
         left, right = pairs[0]
     else:
         if wheels:
             why.append(f"{', '.join(each.joint.name for each in wheels)}: no two are on one axle")
+        fixed = any(joint.parent in base.arm.rigid_links for joint in turning)
         helps = "set --wheels LEFT RIGHT, their joints; " if fixed else ""
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {base.arm.base!r} "
@@ -235,7 +219,7 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The drive of a left and a right wheel, and of similar wheels ahead of or behind them."""
+    """The drive of two wheels, and of those of equal radius and height ahead of or behind them."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])
@@ -263,10 +247,8 @@ def _range(joint: Joint) -> float:
 
 
 def _radius(joint: Joint, places: Mapping[str, pin.SE3], geometry: Geometry) -> tuple[float, str]:
-    """[m] radius of all shapes about a joint's axis; a text with the kind of the largest shape.
-
-    `places` has T_child_link of each link that is fixed to the joint's child link. If the shapes
-    are not round about the axis, this raises a RobotFileError.
+    """[m] radius of all shapes about a joint's axis, and its source; or a RobotFileError if the
+    shapes are not round. `places` has T_child_link of the links fixed to the joint's child link.
     """
     shapes = [(s, T) for link, T in places.items() for s in geometry[link].shapes]
     if not shapes:
@@ -279,10 +261,9 @@ def _radius(joint: Joint, places: Mapping[str, pin.SE3], geometry: Geometry) -> 
     is_round = max(widths) <= (1 + _ROUND) * min(widths)
     if not is_round or abs(2 * r / max(widths) - 1) > _ROUND:
         why = "its shapes are not centred on its axis" if is_round else "it is not round"
-        raise RobotFileError(
-            f"{joint.name} is not a wheel: {joint.child} is not round about its axis: {why} "
-            f"({min(widths):.3f} to {max(widths):.3f} m wide)"
-        )
+        shown = f"{joint.child} is not round about its axis: {why}"
+        wide = f"{min(widths):.3f} to {max(widths):.3f} m wide"
+        raise RobotFileError(f"{joint.name} is not a wheel: {shown} ({wide})")
     if largest.radius is not None and abs(largest.radius / r - 1) < _ROUND:
         r = largest.radius
     return r, f"{largest.kind} of {joint.child}"
@@ -303,10 +284,8 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
 
 
 def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Steering:
-    """The steering by the upright joints of the base that carry turning links.
-
-    If some of these links are wheels on the floor, only the joints that carry these wheels count.
-    Options override the measured numbers.
+    """The steering by the upright joints of the base that carry wheels on the floor or, without
+    such joints, other turning links. Options override the measured numbers.
     """
     tree, arm, floor = base.tree, base.arm, float(T_base_floor.translation[2])
     found: dict[str, list[Joint]] = {}
@@ -320,28 +299,23 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     joints = [tree.joints[name] for name in found]
     places = [(T_base_floor.inverse() * base.pose(j.child)).translation[0] for j in joints]
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
-        raise RobotFileError(
-            f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, but two on one axle "
-            "are required; set --wheelbase, the distance from the rear to the front axle"
-        )
+        why = f"{len(places)} steered wheels found on {arm.base!r}"
+        helps = "set --wheelbase, the distance from the rear to the front axle"
+        raise RobotFileError(f"--wheelbase: {why}, but two on one axle are required; {helps}")
     if not request.wheelbase and np.mean(places) <= 0:
-        raise RobotFileError(
-            "--wheels: the steered wheels are behind the driven ones; set --wheels LEFT RIGHT"
-        )
+        why = "--wheels: the steered wheels are behind the driven ones"
+        raise RobotFileError(f"{why}; set --wheels LEFT RIGHT")
     ways = [min(-(j.lower or 0.0), j.upper or 0.0) for j in joints if j.kind == "revolute"]
     tightest = min(ways, default=0.0)
     if not request.steering_limit and not 0.0 < tightest < np.pi / 2:
-        raise RobotFileError(
-            "--steering-limit: the URDF has no steered joint with limits below 90° to both sides; "
-            "set this option"
-        )
+        why = "the URDF has no steered joint with limits below 90° to both sides"
+        raise RobotFileError(f"--steering-limit: {why}; set this option")
     speeds = [joint.velocity for joint in joints if joint.velocity]
     slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
-    rate = min(speeds, default=_STEERING_RATE)
     numbers = {
         "wheelbase_m": (float(np.mean(places or 0.0)), "measured: from the rear to the front axle"),
         "steering_limit_rad": (tightest, "from the URDF: the tightest joint"),
-        "steering_rate_radps": (rate, slowest),
+        "steering_rate_radps": (min(speeds, default=_STEERING_RATE), slowest),
     }
     for name in numbers:
         field = name.rpartition("_")[0]

@@ -4,11 +4,6 @@ The frame's origin is the middle of the rear axle on the floor; the front axle i
 velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w_x and ω = w_y / L.
 The front wheels point along this velocity, so it is in the double cone |w_y| ≤ tan δ_max |w_x|: the
 curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.
-
-A desired velocity (v, ω) outside of the cone is replaced by the nearest one in the cone, in the
-metric of kinetic energy m v² + I ω². It is on an edge of the cone, κ = ±κ_max, and has the speed
-(m v + I κ ω) / (m + I κ²). On the edge where κ has the sign of ω the base moves ahead, on the other
-edge backwards.
 """
 
 import math
@@ -41,10 +36,11 @@ def nearest_in_cone(
 ) -> tuple[float, float]:
     """The velocity [m/s, rad/s] in the cone |ω| ≤ κ_max |v| nearest to (v, w).
 
-    The norm is √(v² + ρ² ω²). `kappa` [1/m] is κ_max, `radius` [m] is ρ = √(I/m), and `before`
-    [m/s] is the present speed or speed command. If both edges of the cone are about equally near, a
-    moving base keeps its direction. If it is at rest and both are equally near, it moves backwards:
-    this brings the arm ahead of the rear axle, where the score is better.
+    The norm √(v² + ρ² ω²) is that of kinetic energy. `kappa` [1/m] is κ_max, `radius` [m] is
+    ρ = √(I/m), and `before` [m/s] is the present speed or speed command. A velocity outside of the
+    cone is replaced by one on an edge, κ = ±κ_max, with the speed (v + ρ² κ ω) / (1 + ρ² κ²). If
+    both edges are about equally near, a moving base keeps its direction. If both are equally near,
+    a base at rest moves backwards: the arm comes ahead of the rear axle, where the score is better.
     """
     if abs(w) <= kappa * abs(v):
         return v, w
@@ -59,12 +55,12 @@ def nearest_in_cone(
 
 
 class CarLikeBase(BaseKind):
-    """An Ackermann base.
+    """An Ackermann base: ν = (v, ω) is the motion of the rear axle's middle, q̇_b = (w_x, w_y)
+    [m/s] that of the front axle's middle.
 
-    ν = (v, ω) is the motion of the rear axle's middle, q̇_b = (w_x, w_y) [m/s] that of the front
-    axle's middle. The measure in (10) is sign(x) (2 κ_max x)²: the velocities of a point on the two
-    tightest arcs, at unit speed, span the area 2 κ_max |x|. The measure is 0 on the rear axle line,
-    where all arcs move a point in the same direction, positive ahead of the line, negative behind.
+    The measure in (10) is sign(x) (2 κ_max x)²: the velocities of a point on the two tightest arcs,
+    at unit speed, span the area 2 κ_max |x|. It is 0 on the rear axle line, where all arcs move a
+    point in the same direction.
 
     The drive has a speed v and a steering angle δ. δ approaches the angle of the command's arc, and
     v approaches the speed that is nearest to the command along the arc of the present δ.
@@ -73,16 +69,12 @@ class CarLikeBase(BaseKind):
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
 
     kind: Literal["car-like"]
-    wheelbase_m: Positive
-    """[m] L, wheelbase."""
+    wheelbase_m: Positive  # [m] L, wheelbase
     steering_limit_rad: Annotated[Positive, Field(lt=math.pi / 2)]
     """[rad] δ_max of a wheel at the middle of the front axle."""
-    steering_rate_radps: Positive
-    """[rad/s] largest steering rate, also at standstill."""
-    wheel_radius_m: Positive
-    """[m] radius of the wheels; for drawing only."""
-    wheel_joints: tuple[str, ...]
-    """Joints of the URDF that roll; for drawing only."""
+    steering_rate_radps: Positive  # [rad/s] largest steering rate, also at standstill
+    wheel_radius_m: Positive  # [m] radius of the wheels; for drawing only
+    wheel_joints: tuple[str, ...]  # joints of the URDF that roll; for drawing only
     steering_joints: tuple[str, ...]
     """Joints of the URDF that turn with the steering; for drawing only."""
 
@@ -125,7 +117,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def measure(self) -> Measure:
-        """Coefficients of sign(x) (2 κ_max x)² [-]."""
+        """sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
@@ -179,11 +171,9 @@ class CarLikeBase(BaseKind):
     def _goal(
         self, speed: float, angle: float, v_cmd: Sequence[float] | Array
     ) -> tuple[float, float]:
-        """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω).
-
-        The speed is the speed along the present arc that is nearest to the command in the metric of
-        kinetic energy. It is 0 if it would oppose the command, and smaller if the present arc and
-        the command's arc bend to opposite sides.
+        """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω). The
+        speed is the nearest one along the present arc, less if the command's arc bends to the other
+        side, and 0 if it would oppose the command.
         """
         top = self.max_linear_velocity_mps
         wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max

@@ -9,12 +9,10 @@ from app.strict import Array, Positive
 
 
 def mobile_jacobian(r: float, b: float) -> Array:
-    """(2, 2) J_m of the differential base, rows in m/rad and 1: (v, ω) = J_m (θ̇_r, θ̇_l).
+    """(2, 2) J_m of the differential base, rows in m/rad and 1: (v, ω) = J_m (θ̇_r, θ̇_l), from the
+    wheels' radius r [m] and half the track width b [m].
 
-    r [m] is the radius of the wheels, b [m] half of the track width.
-
-    Paper: Eq. (19), with r/2 instead of −r/2 in the second column: the printed matrix has rank 1
-    and contradicts (6).
+    Paper: Eq. (19), with r/2 instead of −r/2 in the second column: the printed matrix has rank 1.
     """
     return np.array([[r / 2, r / 2], [r / (2 * b), -r / (2 * b)]])
 
@@ -34,18 +32,14 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
 class DifferentialBase(TurningBase):
     """The differentially driven base: r, b, m, I of the paper, its limits and its drive.
 
-    It cannot move sideways: its twist has no v_y.
-
     Paper: Eq. (4).
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
 
     kind: Literal["differential"]
-    wheel_radius_m: Positive
-    """[m] r of (6)."""
-    half_track_m: Positive
-    """[m] b of (6), distance between a wheel and the base's centre."""
+    wheel_radius_m: Positive  # [m] r of (6)
+    half_track_m: Positive  # [m] b of (6), distance between a wheel and the base's centre
     left_wheel_joints: tuple[str, ...]
     """Wheel joints of the URDF on the left side; for drawing only."""
     right_wheel_joints: tuple[str, ...]
@@ -70,7 +64,7 @@ class DifferentialBase(TurningBase):
 
     @property
     def measure(self) -> Measure:
-        """Coefficients of sign(x) det(J_c J_cᵀ) [m⁴/rad⁴], which is 0 on the wheel axis.
+        """sign(x) det(J_c J_cᵀ) [m⁴/rad⁴], which is 0 on the wheel axis.
 
         Paper: Eq. (7), (8).
         """

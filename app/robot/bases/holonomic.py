@@ -10,10 +10,8 @@ from app.strict import Array
 
 
 class HolonomicBase(TurningBase):
-    """A base with three independent velocities ν = q̇_b = (v_x, v_y, ω).
-
-    No point is singular: in (10) the measure is 1 everywhere, and thus S = R. (17) and (18) become
-    m v̇_x = f_x, m v̇_y = f_y, I ω̇ = τ.
+    """A base with three independent velocities ν = q̇_b = (v_x, v_y, ω). No point is singular: in
+    (10) the measure is 1 everywhere, and thus S = R.
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (Axis("v_x", False), Axis("v_y", False, way="left"), TURN)

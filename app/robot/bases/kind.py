@@ -2,7 +2,7 @@
 
 A base has velocity axes ν (n_b,). `T` maps ν to the base's twist (v_x, v_y, ω_z) in the base's
 frame: origin on the floor, x forward. `J_m` maps the reduced velocities q̇_b (n_b,), such as the
-wheels' speeds, to ν. The method does not distinguish kinds.
+wheels' speeds, to ν.
 """
 
 import math
@@ -21,10 +21,8 @@ from app.strict import Array, Positive, Sourced
 class Axis(NamedTuple):
     """One of the velocity axes ν."""
 
-    symbol: str
-    """Displayed name, such as "v"."""
-    angular: bool
-    """Whether the motion turns the base; its unit is then rad/s, otherwise m/s."""
+    symbol: str  # displayed name, such as "v"
+    angular: bool  # whether the motion turns the base; its unit is then rad/s, otherwise m/s
     way: Literal["forward", "left"] = "forward"
     """Direction of the motion in the base's frame; no meaning for an angular axis."""
 
@@ -59,14 +57,14 @@ def twist_map(axes: Sequence[Axis]) -> Array:
 
 
 class Measure(NamedTuple):
-    """Coefficients of the signed measure of how well the base can move a point.
-
-    At x [m] in the base's frame the measure is `constant` + `per_square_metre` · x · |x|, in a unit
-    of the kind of base.
-    """
+    """The signed measure of how well the base can move a point, in a unit of the kind of base."""
 
     constant: float
     per_square_metre: float
+
+    def at(self, x: Array) -> Array:
+        """(…) the measure at x (…) [m] in the base's frame."""
+        return self.constant + self.per_square_metre * x * np.abs(x)
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
@@ -76,30 +74,23 @@ PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
 class Channel(NamedTuple):
     """One of the independent motions by which a base moves away from the arm."""
 
-    twist: tuple[float, float, float]
-    """v_x, v_y [m/s] and ω [rad/s] at unit speed."""
-    a_max: float
-    """[m/s² or rad/s²] largest acceleration."""
-    v_max: float
-    """[m/s or rad/s] largest speed."""
-    delay: float = 0.0
-    """[s] time before the motion starts."""
+    twist: tuple[float, float, float]  # v_x, v_y [m/s] and ω [rad/s] at unit speed
+    a_max: float  # [m/s² or rad/s²] largest acceleration
+    v_max: float  # [m/s or rad/s] largest speed
+    delay: float = 0.0  # [s] time before the motion starts
 
 
 class Wheels(NamedTuple):
     """Wheels that turn by the same angle; for drawing only."""
 
     name: str
-    field: str
-    """Field of the base's record with the names of the joints."""
-    joints: tuple[str, ...]
-    """Names of the joints in the URDF."""
+    field: str  # field of the base's record with the names of the joints
+    joints: tuple[str, ...]  # names of the joints in the URDF
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
 """Function from the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the
-velocity command (n_b,) to the velocity and the drive one step later. It does not change its
-arguments."""
+command (n_b,) to velocity and drive one step later; it does not change its arguments."""
 
 
 @cache
@@ -114,20 +105,14 @@ class BaseKind(Sourced, ABC):
     other methods suit a base whose axes follow their commands independently of each other.
     """
 
-    axes: ClassVar[tuple[Axis, ...]]
-    """The velocity axes ν, in order."""
+    axes: ClassVar[tuple[Axis, ...]]  # the velocity axes ν, in order
 
     kind: str
-    mass_kg: Positive
-    """[kg] m of (17)."""
-    inertia_kgm2: Positive
-    """[kg m²] I of (18), about the frame's origin."""
-    max_linear_velocity_mps: Positive
-    """[m/s]"""
-    max_linear_acceleration_mps2: Positive
-    """[m/s²]"""
-    traction_limit_n: Positive
-    """[N] largest force of the wheels on the floor."""
+    mass_kg: Positive  # [kg] m of (17)
+    inertia_kgm2: Positive  # [kg m²] I of (18), about the frame's origin
+    max_linear_velocity_mps: Positive  # [m/s]
+    max_linear_acceleration_mps2: Positive  # [m/s²]
+    traction_limit_n: Positive  # [N] largest force of the wheels on the floor
     drive_time_constant_s: Positive
     """[s] time constant of the drive's first-order response to a velocity command."""
 
@@ -179,34 +164,19 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴.
-
-        S_0 [m⁴/rad⁴] is chosen for the measure (7) of the paper's robot. A measure of another
-        magnitude needs a divisor; for the measure (7) of every differential base it is 1.
+        """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴; 1 for the
+        measure (7), for which S_0 [m⁴/rad⁴] is chosen.
         """
         return 1.0
 
     @property
     @abstractmethod
     def measure(self) -> Measure:
-        """Coefficients of the measure that replaces sign(x) det(J_c J_cᵀ) in (10).
-
-        The measure must not decrease with x.
-        """
-
-    def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The `measure` (…) at points p (…, 3) [m] in the base's frame, and its gradient (…, 3)."""
-        constant, quadratic = self.measure
-        x = np.asarray(p, dtype=float)[..., 0]
-        gradient = np.zeros(np.shape(p))
-        gradient[..., 0] = 2 * quadratic * np.abs(x)
-        return constant + quadratic * x * np.abs(x), gradient
+        """The measure that replaces sign(x) det(J_c J_cᵀ) in (10); it must not decrease with x."""
 
     @property
     def A_b(self) -> Array:
         """(n_b, 3) map from (f_x, f_y, τ_z) [N, N, N m] on the base, in its frame, to ẍ_m.
-
-        The equation of each axis is m v̇ = f or I ω̇ = τ, without the limits of `admissible`.
 
         Paper: Eq. (17), (18).
         """
@@ -222,10 +192,8 @@ class BaseKind(Sourced, ABC):
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """The feasible velocity (n_b,) nearest to the desired velocity `wanted`; here `wanted`.
-
-        All arrays are in m/s or rad/s. `wanted` (n_b,) is within the limits of each axis, `before`
-        (n_b,) is the previous velocity command.
+        """The feasible velocity (n_b,) [m/s or rad/s] nearest to a desired one (here the same),
+        which is within the limits of each axis; `before` (n_b,) is the previous command.
         """
         del before
         return wanted
@@ -251,10 +219,8 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] acceleration by the drive, (v_cmd − v)/τ, within the limits.
-
-        `v` and `v_cmd` (n_b,) [m/s or rad/s] are the velocity and its command, which is clipped to
-        the limits; `drive` is as in `drive_at_rest`.
+        """(n_b,) [m/s² or rad/s²] acceleration by the drive, (v_cmd − v)/τ, within the limits, to
+        which the command is clipped too; `drive` is as in `drive_at_rest`.
         """
         del drive
         gain, limits = 1.0 / self.drive_time_constant_s, (self.max_velocity, self.max_acceleration)
@@ -272,10 +238,8 @@ class BaseKind(Sourced, ABC):
 class TurningBase(BaseKind):
     """A base whose angular axis has limits of its own; a kind derives from this class."""
 
-    max_angular_velocity_radps: Positive
-    """[rad/s]"""
-    max_angular_acceleration_radps2: Positive
-    """[rad/s²]"""
+    max_angular_velocity_radps: Positive  # [rad/s]
+    max_angular_acceleration_radps2: Positive  # [rad/s²]
 
     @property
     def max_velocity(self) -> tuple[float, ...]:

@@ -1,8 +1,8 @@
 """Commands to the live loop: immutable records that check their values, and their mailbox.
 
-The constructor of a command raises an error for an invalid value: an UnknownNameError for a name, a
-TargetError for a position or posture, otherwise a ConfigError. If the loop cannot execute a command
-later, the field `refusal` of the snapshots has the reason.
+The constructor of a command raises an UnknownNameError for an invalid name, a TargetError for an
+invalid position or posture, otherwise a ConfigError. If the loop cannot execute a command later,
+the field `refusal` of the snapshots has the reason.
 """
 
 import math
@@ -27,15 +27,15 @@ MAX_WAITING = 64  # number of waiting commands from which on a pull that replace
 
 
 class Command:
-    """A command to the live loop."""
+    """A command to the live loop; `Mailbox` explains the subclasses."""
 
 
 class Adjustment(Command):
-    """A command that sets a value; it takes the place of a waiting command of the same class."""
+    """A command that sets a value."""
 
 
 class Beginning(Command):
-    """A command that starts a run; at most one such command waits (see `Mailbox`)."""
+    """A command that starts a run."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +156,9 @@ class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
     A `Pull` or `Release` replaces a waiting one of the same person, and a `Beginning` replaces a
-    waiting one; only a `Restart` is dropped instead. Each other command replaces a waiting command
-    of its class. An `Adjustment` takes the place of the replaced command, so that a `Beginning`
-    later in the queue uses the newest value. All other commands go to the end of the queue.
+    waiting one; but a `Restart` is dropped if a `Beginning` waits. Each other command replaces a
+    waiting command of its class. An `Adjustment` takes the place of the replaced command, so that a
+    later `Beginning` uses the newest value. All other commands go to the end of the queue.
     """
 
     def __init__(self) -> None:

@@ -30,15 +30,13 @@ class Ensemble:
     """All robots of the live loop: the main robot, and the compared robots, called ghosts."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start the free motion at the joint positions `q_start` (n_m,) [rad or m]. `free` is the
-        main robot's session. Its plant and seed also apply to all scenarios, and so do its
-        parameters until `configure` changes them.
+        """Start the free motion of the main robot, whose session is `free`, at the joint positions
+        `q_start` (n_m,) [rad or m]. All scenarios use the plant and the seed of `free`.
         """
-        self._free = free
+        self._free, self._config = free, free.config
         self._led = Runner(free, None)
         self.scenario: Scenario | None = None  # of the last start; None without one
         self.ends: float | None = None  # [s] end of the present scenario; None in free motion
-        self._config = free.config
         self.ghosts: list[Runner] = []  # compared robots: equal input, other controllers
         self.comparison = Compare()  # the last `Compare` that started or ended a comparison
         self._holds: dict[int, Hold] = {}
@@ -61,8 +59,9 @@ class Ensemble:
     def changing(self) -> str:
         """A text about d_b while it changes to its configured value, otherwise empty."""
         now, final = self.main.controller.d_b, self.main.config.border.d_b
-        change = f"Buffer d_b: {now:.3f} m, changing to {final:.3f} m"
-        return "" if abs(now - final) < 1e-6 else change
+        if abs(now - final) < 1e-6:
+            return ""
+        return f"Buffer d_b: {now:.3f} m, changing to {final:.3f} m"
 
     @property
     def case(self) -> RunCase | None:
@@ -99,10 +98,9 @@ class Ensemble:
 
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
-
-        While a scenario moves the robot, and after it if the end-effector still holds the door, the
-        comparison starts at the scenario's start; at all other times at the present posture, at
-        rest. If the robots cannot start there, this raises a DbbError, without a change.
+        The robots start at the scenario's start while a scenario moves the robot, or the
+        end-effector holds a door; at all other times at the present posture, at rest. If they
+        cannot start there, this raises a DbbError before any change.
         """
         if not comparison.controllers:
             self.comparison = comparison
@@ -122,10 +120,9 @@ class Ensemble:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
             self._let_go()
-        x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
-        self._holds[pull.who] = Hold(
-            pull.who, np.array(pull.target, dtype=float), pull.link, (x, y, z)
-        )
+        x, y, z = map(float, pull.point or (0.0, 0.0, 0.0))
+        target = np.array(pull.target, dtype=float)
+        self._holds[pull.who] = Hold(pull.who, target, pull.link, (x, y, z))
 
     def release(self, who: int) -> None:
         """Let a person release the robot, if this person holds it."""
@@ -149,9 +146,8 @@ class Ensemble:
 
     def close(self) -> None:
         self._replace_ghosts([])
-        self._free.close()
-        if self.main is not self._free:
-            self.main.close()
+        for session in {self._free, self.main}:
+            session.close()
 
     def _let_go(self) -> None:
         self.ends = None
@@ -180,21 +176,21 @@ class Ensemble:
         old = usable[: len(names)] if setting.door is None else []
         check_posture(setting.model, setting.q_m)
         check_gains(config, config.disturbance.stated_period)
-        runners: list[Runner] = []
-        with ExitStack() as new:
+        new: list[Runner] = []
+        with ExitStack() as on_error:
             for name in names[len(old) :]:
                 session = begin(setting, free.model, name, free.kind, free.seed)
-                new.callback(session.close)
-                runners.append(Runner(session, scenario and scenario.driver(session)))
+                on_error.callback(session.close)
+                new.append(Runner(session, scenario and scenario.driver(session)))
             run = self._config, names[0], free.kind, free.seed
             case = scenario and RunCase.of(RunSpec(free.model.description.name, scenario, *run))
-            new.pop_all()
+            on_error.pop_all()
         # Nothing below can fail, so the present run continues unchanged after an error.
-        for k, session in enumerate(old):
-            session.controller.use(names[k])
-            session.restart(config, setting.q_m, setting.base_pose)
-            runners.insert(k, Runner(session, scenario and scenario.driver(session)))
-        led, *ghosts = runners
+        for name, session in zip(names, old, strict=False):
+            session.controller.use(name)
+            session.reset(setting.q_m, setting.base_pose, config)
+        again = [Runner(session, scenario and scenario.driver(session)) for session in old]
+        led, *ghosts = again + new
         if led.session is not self.main and self.main is not free:
             self.main.close()
         self._led, self.scenario, self.comparison = led, scenario, comparison
@@ -203,11 +199,10 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        kept = {id(ghost.session) for ghost in ghosts}
-        ended = [ghost.session for ghost in self.ghosts if id(ghost.session) not in kept]
-        self.ghosts = ghosts
-        for session in ended:
-            session.close()
+        continuing, former, self.ghosts = [g.session for g in ghosts], self.ghosts, ghosts
+        for ghost in former:
+            if ghost.session not in continuing:
+                ghost.session.close()
 
 
 class Runner:

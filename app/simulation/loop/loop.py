@@ -76,9 +76,8 @@ class SimulationLoop(LoopHandle):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, *, stored: int = SNAPSHOTS_STORED
     ) -> None:
-        """Prepare the loop; `begin` or `start` starts it. `make_session` is called once, in the
-        loop's own thread, which also closes the session. The arm is at `q_start` (n_m,) [rad or m]
-        at the start, and after a `Reset` without a posture.
+        """Prepare the loop, whose thread calls `make_session` once and closes the session. The arm
+        is at `q_start` (n_m,) [rad or m] at the start, and after a `Reset` without a posture.
         """
         super().__init__(stored)
         self._make_session, self._q_start = make_session, np.array(q_start)
@@ -113,10 +112,14 @@ class SimulationLoop(LoopHandle):
             while not self._stop.is_set():
                 self._alive = monotonic()
                 self._obey(ensemble)
-                if self._watched and not self._paused:
-                    self._advance(ensemble)
-                else:
+                if self._paused or not self._watched:
                     self._mailbox.filled.wait(_IDLE)
+                    continue
+                step = ensemble.step()
+                self._pacer.worked(step.duration)
+                if round(step.t / DT) % EVERY == 0:
+                    self._publish(ensemble, step)
+                self._pacer.wait()
         except BaseException as error:  # the owner of the loop reports it
             self.error: BaseException | None = error
         finally:
@@ -129,17 +132,9 @@ class SimulationLoop(LoopHandle):
         self._runs += 1
         self._publish(ensemble, ensemble.step())
 
-    def _advance(self, ensemble: Ensemble) -> None:
-        step = ensemble.step()
-        self._pacer.worked(step.duration)
-        if round(step.t / DT) % EVERY == 0:
-            self._publish(ensemble, step)
-        self._pacer.wait()
-
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
-        fields = self._loop_fields(ensemble)
-        fields["ghosts"] = tuple(ghost.reading() for ghost in ensemble.ghosts)
-        fields["scores"] = ensemble.scores()
+        ghosts = tuple(ghost.reading() for ghost in ensemble.ghosts)
+        fields = self._loop_fields(ensemble) | {"ghosts": ghosts, "scores": ensemble.scores()}
         self._history.add(make_snapshot(ensemble.main, step, self._pacer, **fields))
 
     def _loop_fields(self, ensemble: Ensemble) -> dict[str, Any]:
@@ -177,17 +172,16 @@ class SimulationLoop(LoopHandle):
             ensemble.main.controller.use(command.controller)
         elif isinstance(command, commands.Pause):
             self._paused = command.paused
-            self._pacer.restart()
         elif isinstance(command, commands.Watch):
             self._watched = command.watched
-            self._pacer.restart()
         elif isinstance(command, commands.Speed):
             self._pacer.speed = self._speed = command.factor
-            self._pacer.restart()
         elif isinstance(command, commands.StepOnce):
             self._step_once(command.seconds, ensemble)
         else:
             self._start_again(command, ensemble)
+        if isinstance(command, (commands.Pause, commands.Watch, commands.Speed)):
+            self._pacer.restart()
 
     def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
         """Pause, and step until `seconds` [s] after the newest snapshot; publish the last step."""

@@ -12,9 +12,8 @@ _COARSE = 2e-4  # [s] shortest sleep that is worth a switch of threads
 
 
 class Pacer:
-    """Synchronises a loop with the wall clock. After a late step, the next steps follow without
-    pauses until the loop is on time again; after a delay above 0.2 s, the schedule restarts
-    instead, which reduces the real-time factor.
+    """Synchronises a loop with the wall clock. After a late step, no step pauses until the loop is
+    on time; a delay above 0.2 s restarts the schedule instead, and lowers the real-time factor.
     """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
@@ -43,8 +42,7 @@ class Pacer:
         self._marks.append(now)
         while len(self._marks) > 2 and now - self._marks[0] > _WINDOW:
             self._marks.popleft()
-        if now - self._begun > self._real or self._begun > self._due:
-            self.overruns += 1
+        self.overruns += now - self._begun > self._real or self._begun > self._due
         late = now - self._due
         if late > _CATCH_UP:
             self._due = now

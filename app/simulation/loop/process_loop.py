@@ -33,10 +33,9 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 
 def loop_child() -> Child:
     """Start a process that waits for a session to simulate; its imports take one or two seconds.
-
-    The process receives a function that makes the session, and the arm's start posture, then
-    commands. It sends the outcome of the start (the names of the frames at which people can hold
-    the arm), then snapshots, None as a heartbeat, and the outcome of a failure.
+    It receives `make_session` and `q_start` of `ProcessLoop`, then commands. It sends the outcome
+    of the start with `LoopHandle.links`, then snapshots, None as a heartbeat, and the outcome of a
+    failure.
     """
     return Child(_run_loop)
 

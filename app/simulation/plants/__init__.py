@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from app.simulation.plants.interface import Physics
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
-
 _FORMERLY = {"contact": "mujoco-contact"}
 
 
@@ -23,9 +22,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant with a present or former `name`, by default `default_plant`. An
-    unknown name raises an UnknownNameError.
-    """
+    """The plant with a present or former `name`, or the default; raises an UnknownNameError."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name
@@ -34,9 +31,8 @@ def chosen_plant(name: str | None) -> str:
 def make_physics(
     kind: str | None, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
 ) -> Physics:
-    """Make the plant `kind` with steps of `dt` [s], at rest in the robot's ready posture.
-
-    If there is a `door`, the end-effector holds it, also after each reset.
+    """Make the plant `kind`, or the default one, with steps of `dt` [s]. The robot is at rest in
+    its ready posture; its end-effector holds any `door`, also after each reset.
 
     Raises:
         UnknownNameError: The plant does not exist.
@@ -47,15 +43,13 @@ def make_physics(
     kind = chosen_plant(kind)
     # Imported here, because each plant must work without the libraries of the other plants.
     if kind == "planar" and not find_spec("pybullet"):
-        raise ConfigError(
-            "the plant planar needs pybullet, which is not installed; there are no wheels of "
-            "pybullet for some versions of Python (docs/install.md); --physics mujoco works "
-            "without pybullet"
-        )
-    if kind in ("planar", "mujoco"):
-        from app.simulation.plants.planar import planar_plant
+        from app.simulation.plants.interface import MISSING
 
-        return planar_plant("pybullet" if kind == "planar" else "mujoco", model, dt=dt, door=door)
+        raise ConfigError(f"the plant planar {MISSING}; --physics mujoco works without pybullet")
+    if kind in ("planar", "mujoco"):
+        from app.simulation.plants.planar import Planar
+
+        return Planar("pybullet" if kind == "planar" else "mujoco", model, dt=dt, door=door)
     if kind == "mujoco-contact":
         from app.robot.bases.differential import DifferentialBase
 

@@ -23,10 +23,8 @@ from app.strict import Array
 FLOOR = "/floor"  # name of the floor as a part; no link or body can have this name
 
 ContactPairs = dict[tuple[str, str], str]
-"""The field of `Contacts` for each pair of parts, by the names of bodies or links.
-
-In pairs of `arm_base` the part of l_m is first, in pairs of `arm_floor` the floor.
-"""
+"""The field of `Contacts` for each pair of parts, by the names of bodies or links. A part of l_m,
+and the floor, are first in their pairs."""
 
 
 class CollisionShape(NamedTuple):
@@ -46,19 +44,15 @@ class CollisionShape(NamedTuple):
 
 
 class CollisionShapes(NamedTuple):
-    """All shapes of a robot, and the pairs of parts between which contacts are computed."""
-
-    shapes: tuple[CollisionShape, ...]
-    pairs: ContactPairs
+    shapes: tuple[CollisionShape, ...]  # all shapes of a robot
+    pairs: ContactPairs  # pairs of parts between which contacts are computed
     mobile: tuple[str, ...]  # names of the parts of l_m
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of bodies between which contacts are computed.
-
-    Each body of the arm that the description's `reachability` contains has a pair with l_m and a
-    pair with the floor. Any two bodies of the arm are a pair if they are not neighbours in the
-    chain, and the description's `unwatched` does not contain them.
+    """Pairs of bodies between which contacts are computed: l_m and the floor with each body of the
+    arm that the description's `reachability` contains, and any two bodies of the arm that are not
+    neighbours in the chain and not in the description's `unwatched`.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -88,22 +82,31 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
     }
 
 
+def geometry_with_floor(
+    model: RobotModel, floor: pin.GeometryObject, pairs: ContactPairs
+) -> tuple[pin.GeometryModel, list[str]]:
+    """The robot's bodies and a floor with pairs of shapes, and the field of `Contacts` of each."""
+    geometry, fields = model.geometry.copy(), list[str]()
+    ids = {**model.shape_ids, FLOOR: [geometry.addGeometryObject(floor)]}
+    for (a, b), field in pairs.items():
+        for shapes in product(ids[a], ids[b]):
+            geometry.addCollisionPair(pin.CollisionPair(*shapes))
+            fields.append(field)
+    return geometry, fields
+
+
 @kept_per_model(1)
 def collision_shapes(model: RobotModel) -> CollisionShapes:
-    """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed.
-
-    The result is cached: the meshes take half of the time that a plant needs to start. If the
-    meshes of a user's own robot exceed the limits of `within_budget`, this raises a RobotFileError.
+    """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed; the
+    result is cached. If the meshes of a user's own robot exceed the limits of `within_budget`, this
+    raises a RobotFileError.
     """
     description = model.description
     try:
         text = resolved_urdf(description)
     except AssetError as error:
-        logging.getLogger(__name__).warning(
-            "%s: contacts are computed with the convex bodies, which are larger than the links: %s",
-            description.name,
-            error,
-        )
+        larger = "contacts are computed with the convex bodies, which are larger than the links"
+        logging.getLogger(__name__).warning("%s: %s: %s", description.name, larger, error)
         objects = model.geometry.geometryObjects
         bodies = (
             _shape(name, objects[i], objects[i].geometry)

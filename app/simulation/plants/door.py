@@ -10,7 +10,7 @@ import pinocchio as pin
 from app.border.cache import BorderData
 from app.border.dbb import make_cloud
 from app.errors import DescriptionError
-from app.robot.description import BodyDescription
+from app.robot.description import ArmDescription, BodyDescription
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Superquadric, around_box
@@ -18,8 +18,7 @@ from app.strict import Array
 
 BODY = "door"
 
-_E1 = 0.2  # [-] curvature of the vertical sections: slight, so that the closest point is unique
-_E2 = 0.2  # [-] curvature of the horizontal sections
+_E = 0.2  # [-] exponents of the hyper-ellipsoid: slightly curved, so that closest points are unique
 _MASS = 60.0  # [kg] mass of the refrigerator without its door
 _DEPTH = 0.60  # [m] depth of the cabinet
 _GAP = 0.005  # [m] distance between the cabinet and the closed door
@@ -29,10 +28,8 @@ _SINKING = 1e-5  # [m] depth of the resting cabinet in the floor
 
 @dataclass(frozen=True)
 class Door:
-    """A vertical board on a hinge.
-
-    The door's frame turns with the door. Its origin is on the floor under the hinge's axis; z is
-    up. If the door is closed, x points into the refrigerator; y is to the left, seen along x.
+    """A vertical board on a hinge. The door's frame turns with the board, has its origin on the
+    floor under the hinge's axis, and z up. x of the closed door points into the refrigerator.
     """
 
     hinge: Literal["left", "right"]  # side of the hinge for a person in front of the closed door
@@ -81,15 +78,10 @@ class Door:
 
     def handle(self, angle: float) -> pin.SE3:
         """T_world_ee at the handle, at an opening angle [rad]: z points into the door, x up."""
-        place = np.array(
-            [
-                -self.thickness / 2 - self.handle_reach,
-                -self.side * (self.width - self.handle_inset),
-                self.handle_height,
-            ]
-        )
+        x = -self.thickness / 2 - self.handle_reach
+        y = -self.side * (self.width - self.handle_inset)
         axes = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-        return self.pose(angle) * pin.SE3(axes, place)
+        return self.pose(angle) * pin.SE3(axes, np.array([x, y, self.handle_height]))
 
     def radial(self, p_ee: Array) -> Array:
         """(2,) horizontal unit vector in the world from a point `p_ee` (3,) [m] to the hinge."""
@@ -101,13 +93,14 @@ class Door:
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
+        axes = around_box(self.size, _E, _E)
         return Superquadric(
             type="superquadric",
             xyz_m=(x, y, z),
             rpy_rad=(roll, pitch, yaw),
-            semi_axes_m=around_box(self.size, _E1, _E2),
-            e1=_E1,
-            e2=_E2,
+            semi_axes_m=axes,
+            e1=_E,
+            e2=_E,
         )
 
 
@@ -139,17 +132,14 @@ class Cabinet:
     """The cabinet of a refrigerator: a box that stands on the floor and is not fixed."""
 
     def __init__(self, door: Door) -> None:
-        height = door.bottom + door.height
-        self.size = _DEPTH, door.width, height  # [m] depth, width and height
-        self.inertia = pin.Inertia.FromBox(_MASS, *self.size)  # in the frame of the centre
+        self.size = _DEPTH, door.width, door.bottom + door.height  # [m] depth, width and height
+        self.inertia = pin.Inertia.FromBox(_MASS, *self.size)  # in the frame of the box's centre
         back = door.thickness / 2 + _GAP + _DEPTH / 2
-        self.T_world = door.pose(0.0) * pin.SE3(
-            np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
-        )
-        """Pose of the box's centre in the world."""
+        place = np.array([back, door.centre[1], self.size[2] / 2 - _SINKING])
+        self.T_world = door.pose(0.0) * pin.SE3(np.eye(3), place)  # pose of the box's centre
         self.T_hinge = self.T_world.inverse() * door.pose(0.0)  # the closed door in the box's frame
-        self.T_centre = pin.SE3(np.eye(3), door.centre)  # board's centre in the door's frame
-        # inertia of the board, in the door's frame
+        self.T_centre = pin.SE3(np.eye(3), door.centre)  # the board's centre in the door's frame
+        # Inertia of the board in the door's frame.
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
 
 
@@ -164,27 +154,28 @@ def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float,
     }
 
 
+def T_link_ee(arm: ArmDescription) -> pin.SE3:
+    """Pose of the end-effector in the frame of its link."""
+    R = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
+    return pin.SE3(R, np.array(arm.end_effector_xyz_m))
+
+
 def with_door(
     model: RobotModel, data: BorderData, door: Door, T_ee_door: pin.SE3
 ) -> tuple[RobotModel, BorderData]:
-    """Model and data of a robot that holds a door, its last body; ⟨l_m, door⟩ is in L_m.
+    """Model and data of a robot whose last body is a held door (Figure 16b); ⟨l_m, door⟩ is in L_m.
 
-    The body is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
-    grasp is rigid. `T_ee_door` is the door's pose in the end-effector's frame. The door has the
+    `T_ee_door` is the constant pose of the door in the end-effector's frame. The door has the
     reachability coefficients of the last body that has any; if there is none, this raises a
     DescriptionError. The pair's acting point is on the exact offset surface of l_m, not a sample.
     """
     description = model.description
     link = description.arm.end_effector_link
-    T_link_ee = pin.SE3(
-        pin.rpy.rpyToMatrix(*description.arm.end_effector_rpy_rad),
-        np.array(description.arm.end_effector_xyz_m),
-    )
     body = BodyDescription(
         source="a hyper-ellipsoid through the corners of the door (Figure 16b)",
         name=BODY,
         frame=link,
-        shapes=(door.superquadric(T_link_ee * T_ee_door),),
+        shapes=(door.superquadric(T_link_ee(description.arm) * T_ee_door),),
         covers=(link,),
     )
     known = description.reachability

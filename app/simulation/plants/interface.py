@@ -13,6 +13,12 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.plants.door import Door
 from app.strict import Array
 
+GRAVITY = 9.81  # [m/s²]
+MISSING = (
+    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
+    "Python (docs/install.md)"
+)
+
 
 class Contacts(NamedTuple):
     """Whether parts touched in the last step: pairs of `body_contact_pairs`, or base and door."""
@@ -29,10 +35,8 @@ class Contacts(NamedTuple):
 
 
 class Wrench(NamedTuple):
-    """A force and a torque about the end-effector's origin, in the world."""
-
-    force: Array  # (3,) [N]
-    torque: Array  # (3,) [N m]
+    force: Array  # (3,) [N] in the world
+    torque: Array  # (3,) [N m] about the end-effector's origin, in the world
 
 
 class Push(NamedTuple):
@@ -77,12 +81,10 @@ class Physics(ABC):
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by `dt`.
-
-        The arm's torques `u_a` (n_m,) [N m or N] are constant during the step. The drive follows
-        the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time constant and
-        limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin; the `pushes`
-        act on other points of the arm.
+        """Advance by `dt` with constant torques `u_a` (n_m,) [N m or N] of the arm. The drive
+        follows the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time
+        constant and limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin;
+        the `pushes` act on other points of the arm.
         """
 
     @abstractmethod
@@ -94,10 +96,9 @@ class Physics(ABC):
 
 
 class PointLoad:
-    """A point mass fixed to the end-effector; its weight and inertia act on the arm as a force.
-
-    A force m (g - a) with the last acceleration a would be unstable for a load heavier than the
-    arm's effective mass. Therefore the computation includes the effect of the force on a.
+    """A point mass fixed to the end-effector; its weight and inertia act on the arm as a force. The
+    computation includes the effect of this force on the acceleration a: with the last a, the force
+    m (g - a) would be unstable for a load heavier than the arm's effective mass.
     """
 
     def __init__(self, model: RobotModel, mass: float, centre: Array, dt: float) -> None:

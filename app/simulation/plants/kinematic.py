@@ -1,13 +1,12 @@
 """A simple plant without a physics engine, for tests and as a check of the engines.
 
 The base moves exactly with its drive's velocity; the arm follows
-M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f with external forces f. Only joint limits stop the arm:
-contacts are overlaps of the convex bodies, which are reported and cause no force.
+M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f with external forces f. Contacts cause no force.
 """
 
 import math
 from collections.abc import Sequence
-from itertools import compress, product
+from itertools import compress
 
 import coal
 import numpy as np
@@ -15,7 +14,7 @@ import pinocchio as pin
 
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, distance_view
-from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
+from app.simulation.plants.collision_shapes import body_contact_pairs, geometry_with_floor
 from app.simulation.plants.interface import Contacts, Drive, Physics, Push
 from app.simulation.plants.planar import world_twist
 from app.strict import Array
@@ -30,7 +29,9 @@ class Kinematic(Physics):
         """Start at rest in the robot's ready posture; `dt` [s] is the duration of one step."""
         self.dt = dt
         self._model, self._state, self._data = model, RobotState(model), model.pin.createData()
-        self._geometry, self._group_of = _contact_geometry(model)
+        floor = pin.GeometryObject("floor", 0, 0, pin.SE3.Identity(), coal.Halfspace(0, 0, 1, 0))
+        pairs = body_contact_pairs(model.description)
+        self._geometry, self._group_of = geometry_with_floor(model, floor, pairs)
         self._results = pin.GeometryData(self._geometry)
         self._distances = distance_view(self._results.distanceResults)
         self._drive = Drive(model.description.base, dt)
@@ -44,13 +45,8 @@ class Kinematic(Physics):
         self._stepped = False
 
     def measure(self) -> Measurement:
-        return Measurement(
-            self._base_pose.copy(),
-            np.array(self._drive.velocity),
-            self._q.copy(),
-            self._qd.copy(),
-            self._drive.state,
-        )
+        drive, arm = self._drive, (self._q.copy(), self._qd.copy())
+        return Measurement(self._base_pose.copy(), np.array(drive.velocity), *arm, drive.state)
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
@@ -99,17 +95,3 @@ class Kinematic(Physics):
             stopped |= beyond
         qd += qdd * dt
         q += qd * dt
-
-
-def _contact_geometry(model: RobotModel) -> tuple[pin.GeometryModel, list[str]]:
-    """Bodies and floor with the pairs that can touch, and the field of `Contacts` of each pair."""
-    geometry, groups = model.geometry.copy(), list[str]()
-    floor = geometry.addGeometryObject(
-        pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))
-    )
-    ids = {**model.shape_ids, FLOOR: [floor]}
-    for (a, b), group in body_contact_pairs(model.description).items():
-        for shapes in product(ids[a], ids[b]):
-            geometry.addCollisionPair(pin.CollisionPair(*shapes))
-            groups.append(group)
-    return geometry, groups

@@ -1,15 +1,15 @@
 """The high-fidelity plant: MuJoCo with wheels that roll and slip, and a free base that can tip.
 
-A skid-steer base stands on its wheels, which are all driven and have the same friction along and
-across. A turn on the spot at the start calibrates its drive, because the effective track depends on
-the load of each wheel. A base with all wheels on one axle also stands on casters, which are
-frictionless and slightly soft: the spheres at the floor in the URDF, or, without these spheres, one
-at each corner of the base.
+All wheels are driven, and have the same friction along and across. Wheels on several axles carry a
+skid-steer base; a turn on the spot at the start calibrates its drive, because the effective track
+depends on the load of each wheel. A base with all wheels on one axle also stands on frictionless,
+slightly soft casters: the spheres at the floor in the URDF, or one at each corner of the base.
 """
 
 import math
 from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import coal
 import mujoco
@@ -24,20 +24,22 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Drive, Physics, Push
-from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
-from app.simulation.plants.mujoco_world import MujocoWorld
+from app.simulation.plants.interface import GRAVITY, Contacts, Drive, Physics, Push
+from app.simulation.plants.mujoco_world import MujocoWorld, RobotSpec
 from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point
 _LOAD_RESERVE = 2.0
 """[-] factor of the wheels' friction, because casters carry a part of the weight; without casters,
 factor of each motor's torque limit, relative to an equal share of the traction limit."""
-_SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and sliding tyres
-_TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
+_SPRING = [0.02, 1.0]  # [s] time constant and [-] damping ratio of casters and sliding tyres
+_TYRE: dict[str, Any] = {
+    "solref": _SPRING,
+    "solimp": [0.5, 0.5, 0.001, 0.5, 2.0],
+    "solreffriction": [0.2, 1.0],
+}
 """A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
-stiffer contacts and faster friction, MuJoCo lifts sliding parts: the wheels would hop, and the base
-would turn in jerks."""
+stiffer contacts and faster friction in MuJoCo, the wheels would hop in turns of the base."""
 _AT_FLOOR = 0.01  # [m] a shape of the base that reaches down to this height counts as on the floor
 _GEOM = mujoco.mjtGeom
 _MIN_MASS = 0.005  # [-] assumed mass of a wheel without a mass, relative to the base's mass
@@ -58,20 +60,16 @@ class Wheels:
         data = full.createData()
         pin.forwardKinematics(full, data, pin.neutral(full))
         ids = [full.getJointId(n) for n in (*base.right_wheel_joints, *base.left_wheel_joints)]
-        self.links = {  # names of the links that turn with the wheels
-            frame.name
-            for frame in full.frames
-            if frame.parentJoint in ids and frame.type == pin.FrameType.BODY
-        }
-        places = [data.oMi[i] for i in ids] or [
-            pin.SE3(np.eye(3), np.array([0.0, y, r]))
-            for y in (-base.half_track_m, base.half_track_m)
-        ]
-        self.centres = np.array([[*place.translation[:2], r] for place in places])  # (n, 3) [m]
+        moved = [frame for frame in full.frames if frame.parentJoint in ids]
+        # Names of the links that turn with the wheels.
+        self.links = {frame.name for frame in moved if frame.type == pin.FrameType.BODY}
+        places = [data.oMi[i].translation[:2] for i in ids]
+        places = places or [(0.0, -base.half_track_m), (0.0, base.half_track_m)]
+        self.centres = np.array([[x, y, r] for x, y in places])  # (n, 3) [m]
         self.right = self.centres[:, 1] < 0.0  # (n,) whether each wheel is on the right side
-        # inertias in frames at the wheels' centres
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
         small = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
+        # Inertias in frames at the wheels' centres, with the root's axes.
         self.inertias = [I if I.mass > 0.0 else small for I in own] or [small] * len(places)
         self.root = model.pin.inertias[1]  # inertia of the root without the wheels
         for centre, inertia in zip(self.centres, self.inertias, strict=True):
@@ -98,7 +96,10 @@ class MujocoWheels(Physics):
         ready = np.zeros(3), np.array(description.arm.ready_position)
         if wheels.spans:
             self._stand(*ready)
-            self._calibrate(self._turned_half_track())
+            steps = math.ceil(_TURNING / dt)
+            turning = self._frozen(steps, (self._rolling @ [0.0, _TURN_RATE]).tolist())
+            measured = float(np.mean(turning[steps // 2 :]))
+            self._calibrate(self.half_track * _TURN_RATE / measured)
         self.reset(*ready)
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -130,10 +131,9 @@ class MujocoWheels(Physics):
     def measure(self) -> Measurement:
         """The robot's state; the base's pose is that of the root link, projected on the floor."""
         world = self.world
-        q, v = world.q.copy(), world.v.copy()
-        R = self._turn()
-        turned = math.remainder(_heading(R) - self._phi, math.tau)  # the heading does not wrap
-        self._phi = phi = self._phi + turned
+        q, v, R = world.q.copy(), world.v.copy(), self._turn()
+        # The measured heading is continuous; that of R jumps at ±π.
+        self._phi = phi = self._phi + math.remainder(_heading(R) - self._phi, math.tau)
         forward = math.cos(phi) * v[0] + math.sin(phi) * v[1]
         velocity = np.array([forward, float(R[2] @ v[3:6])])
         pose = np.array([q[0], q[1], phi])
@@ -145,10 +145,6 @@ class MujocoWheels(Physics):
         speeds = (self._rolling @ self._drive.step(base_velocity)).tolist()
         self.world.step(u_a, speeds, hand_force, pushes)
 
-    def tilt(self) -> float:
-        """[rad] angle between the vertical axes of base and world; 0 if the base is level."""
-        return math.acos(min(1.0, self._turn()[2, 2]))
-
     def contacts(self) -> Contacts:
         return self.world.contacts()
 
@@ -158,17 +154,10 @@ class MujocoWheels(Physics):
         return pin.Quaternion(w, x, y, z).toRotationMatrix()
 
     def _calibrate(self, half_track: float) -> None:
-        """Set the matrix from (v, ω) to the wheel speeds, for a half track [m]."""
+        """Set the effective half track [m], and the matrix from (v, ω) to the wheel speeds."""
         self.half_track = half_track
         right, left = np.linalg.inv(mobile_jacobian(self.wheels.radius, half_track))
         self._rolling = np.array([right if is_right else left for is_right in self.wheels.right])
-
-    def _turned_half_track(self) -> float:
-        """[m] the effective half track, measured in a turn on the spot."""
-        steps = math.ceil(_TURNING / self.dt)
-        speeds = (self._rolling @ [0.0, _TURN_RATE]).tolist()
-        rates = self._frozen(steps, speeds)[steps // 2 :]
-        return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
         """Execute steps with a fixed arm and wheel speeds (n,) [rad/s]; return ω of each step."""
@@ -202,26 +191,24 @@ def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> Non
         wheel = robot.add_body(robot.root, name, pin.SE3(np.eye(3), centre), inertia)
         robot.add_motor(wheel, name, mujoco.mjtJoint.mjJNT_HINGE, (0, 1, 0), torque)
         robot.add_geom(wheel, name, _GEOM.mjGEOM_ELLIPSOID, (r, _TREAD * r, r))
-        tyre = {"firmness": _SPRING, **_TYRE} if wheels.spans else {}
-        robot.allow(None, [FLOOR], [name], friction=mu, **tyre)
+        robot.allow(FLOOR, name, friction=mu, **(_TYRE if wheels.spans else {}))
 
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
     """Add casters, if needed; let the base's higher shapes touch the floor, if the base tips."""
-    casters: list[tuple[float, Array]] = []
+    casters: list[Array] = []  # horizontal position, and radius, which is the centre's height
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:
             continue
         if shape.lowest > _AT_FLOOR:
-            robot.allow(None, [FLOOR], [f"{shape.part}/{i}"])
+            robot.allow(FLOOR, f"{shape.part}/{i}")
         elif isinstance(shape.geometry, coal.Sphere):
-            casters.append((shape.geometry.radius, shape.T.translation))
+            casters.append(np.array([*shape.T.translation[:2], shape.geometry.radius]))
     if not wheels.spans:
         body, r = MobileBody(robot.model), wheels.radius
-        (left, low), (right, high) = body.lower[:2] + r, body.upper[:2] - r
-        corners = [(r, np.array(place)) for place in product((left, right), (low, high))]
-        for i, (r, centre) in enumerate(casters or corners):
-            name = f"caster_{i}"
-            place = pin.SE3(np.eye(3), np.array([*centre[:2], r]))
-            robot.add_geom(robot.root, name, _GEOM.mjGEOM_SPHERE, (r,), place)
-            robot.allow(None, [FLOOR], [name], friction=0.0, firmness=_SPRING)
+        sides = zip(body.lower[:2] + r, body.upper[:2] - r, strict=True)
+        corners = [np.array([*place, r]) for place in product(*sides)]
+        for i, centre in enumerate(casters or corners):
+            name, place = f"caster_{i}", pin.SE3(np.eye(3), centre)
+            robot.add_geom(robot.root, name, _GEOM.mjGEOM_SPHERE, centre[2:], place)
+            robot.allow(FLOOR, name, friction=0.0, solref=_SPRING)

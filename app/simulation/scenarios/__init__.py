@@ -45,10 +45,8 @@ _LINES = (
 LINES = {scenario.name: scenario for scenario in _LINES}  # scenarios with a straight path
 
 SCENARIOS: dict[str, Scenario] = {
-    **LINES,
-    **{s.name: s for s in (RefrigeratorScenario(), WayOutScenario())},
+    scenario.name: scenario for scenario in (*_LINES, RefrigeratorScenario(), WayOutScenario())
 }
-
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
 """Scenarios towards the side or front of the base: each needs the robot's own line or a start."""
 _FREE = "guiding-front"  # scenario whose start is also the start of the free motion
@@ -62,14 +60,11 @@ def scenario_by_name(name: str) -> Scenario:
 
 
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
-    """The scenario with a name, for a robot.
-
-    A line of the robot's description (start and displacement of the end-effector) replaces the
-    scenario's own line; `changes`, options as in `Scenario.changed`, override both.
-
-    This raises the errors of `scenario_by_name` and `Scenario.changed`; an UnreachableError if the
-    scenario needs a start, and neither description nor `changes` have one; and a DescriptionError
-    if a line of the description belongs to no scenario with a line.
+    """The scenario with a name, for a robot. A line of the robot's description (start and
+    displacement of the end-effector) replaces the scenario's own line; `changes`, options as in
+    `Scenario.changed`, override both. This raises the errors of `scenario_by_name` and
+    `Scenario.changed`; an UnreachableError if the scenario needs a start, and neither description
+    nor `changes` have one; a DescriptionError if a line belongs to no scenario with a line.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
@@ -86,10 +81,10 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
 def free_start(
     model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
 ) -> Array:
-    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. `start` (3,) [m]
-    is the end-effector's position for a base at the origin, by default that of the robot's own line
-    for `guiding-front`. Without `start` and such a line, the result is the ready posture. If the
-    search finds no posture, this raises an UnreachableError.
+    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. The end-effector
+    is at `start` (3,) [m] for a base at the origin, by default at the start of the robot's own line
+    for `guiding-front`; without this line too, the posture is the ready one. Raises an
+    UnreachableError if the search finds no posture.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start

@@ -1,9 +1,8 @@
-"""Opening a door with an unknown hinge (§4.2.3; Karayiannidis et al., 2016).
+"""Opening a door with an unknown vertical hinge (§4.2.3; Karayiannidis et al., 2016).
 
 The end-effector has velocity control along the estimated tangent, and force control along the
-estimated radius. The hinge is vertical, so the problem is planar. The grasp is rigid, so the radial
-direction is constant in the end-effector's frame. The controller estimates the radial direction
-from the radial force, and the path's curvature from the torque.
+estimated radius. The grasp is rigid, so the radial direction is constant in the end-effector's
+frame. `DoorOpening` estimates it from the radial force, and the path's curvature from the torque.
 """
 
 import math
@@ -47,11 +46,11 @@ def radial_update(
 ) -> float:
     """Rotation rate [rad/s] of the estimated radial direction about the vertical.
 
-    If the estimated tangent t̂ deviates by the angle e from the true tangent, the door stops the
-    radial part of the motion along t̂. In the steady state at full speed, the force's PI regulator
-    R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N], with the radial force f_r, then satisfies
-    α_f R = -s v_d tan e. The rate is λ s (v/v_d) α_f R / v_d; the error thus decreases by
-    ė = -λ tan e. `regulated` is R, `progress` is v/v_d along t̂, `sense` is s, ±1.
+    If the estimated tangent t̂ deviates by the angle e from the true one, the door stops the radial
+    part of the motion along t̂. In the steady state at full speed, the force's PI regulator
+    R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N], with the radial force f_r, satisfies
+    α_f R = -s v_d tan e. The rate λ s (v/v_d) α_f R / v_d then reduces the error: ė = -λ tan e.
+    `regulated` is R, `progress` is v/v_d along t̂, `sense` is s, ±1.
     """
     return gains.learning_rate * sense * progress * gains.compliance * regulated / gains.speed
 
@@ -60,8 +59,8 @@ def curvature_update(torque: float, progress: float, gains: DoorOpeningGains) ->
     """Rate of change [rad/(m s)] of the estimated curvature κ = ω/v of the end-effector's path.
 
     If the estimate κ̂ is wrong, the end-effector twists the door: (κ̂ - κ) v_d = α_τ τ_z in the
-    steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d, with the torque τ_z [N m] on the door about
-    the vertical, and v/v_d as in `radial_update`.
+    steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d. `torque` is τ_z [N m], that on the door
+    about the vertical, `progress` is v/v_d.
     """
     return -gains.learning_rate * progress * gains.angular_compliance * torque / gains.speed
 
@@ -72,10 +71,9 @@ class DoorOpening:
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
     ) -> None:
-        """Start at the handle of a door that opens towards the end-effector.
-
-        The end-effector's z axis points into the door. `radial_guess` (2,) is the first estimate of
-        the horizontal direction towards the hinge; `dt` [s] is the time between calls of `step`.
+        """Start at the handle of a door that opens towards the end-effector, whose z axis points
+        into the door. `radial_guess` (2,) is the first estimate of the horizontal direction to the
+        hinge; `dt` [s] is the time between calls of `step`.
         """
         self._gains, self._dt = gains, dt
         self._R_start = T_world_ee.rotation.copy()
@@ -108,15 +106,17 @@ class DoorOpening:
         self._integral += error * dt / gains.integral_time
         regulated = error + self._integral
         self.speed = self._desired_speed(force, abs(self._turned(T_world_ee)))
-        velocity = self.speed * along - gains.compliance * (
-            regulated * radial + force * [0.0, 0.0, 1.0]
-        )
+        relief = gains.compliance * (regulated * radial + force * [0.0, 0.0, 1.0])
+        velocity = self.speed * along - relief
         turning = np.array([0.0, 0.0, self.curvature * self.speed])
         turning -= gains.angular_compliance * torque
         progress = _share(float(velocity_ee @ along) / gains.speed)
         self._angle += radial_update(regulated, progress, self._sense, gains) * dt
         self.curvature += curvature_update(float(torque[2]), progress, gains) * dt
-        self._lead(T_world_ee, velocity, turning)
+        lead = self._pose.translation + velocity * dt - T_world_ee.translation
+        longest = max(float(np.linalg.norm(lead)) / gains.leash, 1.0)
+        self._pose.translation = T_world_ee.translation + lead / longest  # at most a leash ahead
+        self._pose.rotation = pin.exp3(turning * dt) @ self._pose.rotation
         self._t += dt
         return Reference(self._pose.copy(), np.concatenate([velocity, turning]), np.zeros(6))
 
@@ -134,13 +134,6 @@ class DoorOpening:
         slack /= gains.slow_until - gains.slow_from
         return gains.speed * begun**2 * (3 - 2 * begun) * _share(slack) * _share(left)
 
-    def _lead(self, T_world_ee: pin.SE3, velocity: Array, turning: Array) -> None:
-        """Advance the reference pose by one step, at most `leash` away from the end-effector."""
-        lead = self._pose.translation + velocity * self._dt - T_world_ee.translation
-        longest = max(float(np.linalg.norm(lead)) / self._gains.leash, 1.0)
-        self._pose.translation = T_world_ee.translation + lead / longest
-        self._pose.rotation = pin.exp3(turning * self._dt) @ self._pose.rotation
-
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
     """The driver that opens the door in a session at its start, at a desired `rate` [deg/s].
@@ -149,23 +142,18 @@ def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
     turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-    start = session.T_world_ee
+    start, held = session.T_world_ee, session.physics.door
+    assert held is not None
     radial = turned @ door.radial(start.translation)
     opening = DoorOpening(start, radial, gains, session.physics.dt)
 
     def lead(session: Session) -> StepInput:
-        assert session.physics.door is not None
-        wrench = session.physics.door.wrench()
-        T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]
+        wrench, T_ee = held.wrench(), session.T_world_ee
         truth, estimate = door.radial(T_ee.translation), opening.radial(T_ee)
         across = truth[0] * estimate[1] - truth[1] * estimate[0]
-        view = DoorView(
-            door,
-            session.physics.door.angle(),
-            wrench.force,
-            float(wrench.force[:2] @ truth),
-            math.atan2(across, float(truth @ estimate[:2])),
-        )
+        error = math.atan2(across, float(truth @ estimate[:2]))
+        view = DoorView(door, held.angle(), wrench.force, float(wrench.force[:2] @ truth), error)
+        velocity = session.controller.state.v_ee[:3]
         return StepInput(reference=opening.step(T_ee, velocity, wrench), door=view)
 
     return lead

@@ -86,9 +86,8 @@ class Scenario(ABC):
         """A copy with these `changes`, except None; an invalid one raises a ConfigError."""
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
-        for name in given:
-            if name not in known:
-                raise self.unknown_option(name)
+        if unknown := [name for name in given if name not in known]:
+            raise self.unknown_option(unknown[0])
         try:
             return replace(self, **given)
         except (TypeError, ValueError) as error:  # for example a text, or a point of two numbers

@@ -109,10 +109,8 @@ class LineScenario(Scenario):
     def driver(self, session: Session) -> Driver:
         orientation = session.T_world_ee.rotation.copy()
         if self.mode == "tracking":
-            return lambda session: StepInput(reference=self.reference(session.t, orientation))
-        return lambda session: StepInput(
-            pull=self.place(session.t) if self.holds(session.t) else None
-        )
+            return lambda now: StepInput(reference=self.reference(now.t, orientation))
+        return lambda now: StepInput(pull=self.place(now.t) if self.holds(now.t) else None)
 
     def place(self, t: float) -> Array:
         """(3,) [m] target of the end-effector at time t [s], in the world."""
@@ -134,11 +132,9 @@ class LineScenario(Scenario):
         from app.control.tasks import Reference
 
         T, s = self.duration * self.moving, self._passed(t)
-        # [1/s, 1/s²] rates of the share of the displacement
-        speed, change = 6 * s * (1 - s) / T, 6 * (1 - 2 * s) / T**2
-        if not 0.0 <= t <= T:
-            speed = change = 0.0
-        v, a = (np.array([rate * x for x in self.move] + 3 * [0.0]) for rate in (speed, change))
+        # First and second derivative [1/s, 1/s²] of the share of the displacement.
+        rates = (6 * s * (1 - s) / T, 6 * (1 - 2 * s) / T**2) if 0.0 <= t <= T else (0.0, 0.0)
+        v, a = (np.array([rate * x for x in self.move] + 3 * [0.0]) for rate in rates)
         return Reference(pin.SE3(orientation, self.place(t)), v, a)
 
     def _passed(self, t: float) -> float:

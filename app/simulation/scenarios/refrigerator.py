@@ -119,9 +119,8 @@ class RefrigeratorScenario(Scenario):
 
     def adapted(self, config: Config) -> Config:
         """Raise the posture task's gains and the cost of base motion to the minima for a held door.
-
-        The controller does not model the door's force. With low gains, this force would swing the
-        elbow. With a low cost, the base would move to maintain the arm's posture.
+        With low gains, the door's force, which the controller does not model, would swing the
+        elbow; with a low cost, the base would move to maintain the arm's posture.
         """
         firm = {path: max(float(config.value(path)), low) for path, low in _FIRMNESS.items()}
         return config.changed(firm)

@@ -17,14 +17,11 @@ if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.config import Config
     from app.robot.model import RobotModel
-    from app.simulation.scenarios.posture import PostureSearch
+    from app.simulation.scenarios.start import PostureSearch
     from app.simulation.session import Session
 
 Begin = Literal["penetration", "buffer", "arm"]
-BEGINS: tuple[Begin, ...] = get_args(Begin)
-"""Kinds of starts: any pair in penetration; a pair of arm and base inside its buffer, without
-penetration; a pair within the arm inside its buffer, without penetration."""
-
+BEGINS: tuple[Begin, ...] = get_args(Begin)  # `WayOutScenario.begin` describes them
 DEEPEST = 0.05  # [m] deepest penetration of a start
 _FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
 _FROM_ABOVE = 0.7  # [-] smallest |n_z| of a pair of L_m whose arm is above the base
@@ -43,14 +40,13 @@ class WayOutScenario(Scenario):
     pair within the arm inside its buffer."""
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
-        A case is drawn first, because some cases are rare among random postures: a pair and, for a
-        pair of arm and base, whether the arm is above the base or beside it. Random postures are
-        tried until one belongs to the case; if all fail, another case is drawn. If all cases fail,
-        this raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
+        """A random posture, with the base at the origin. The seed draws a case first, because some
+        cases are rare: a pair and, for a pair of arm and base, whether the arm is above the base or
+        beside it. If no random posture belongs to it, another case follows. If all cases fail, this
+        raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
         """
         # Imported here: scipy would delay the start of every command.
-        from app.simulation.scenarios.posture import PostureSearch
+        from app.simulation.scenarios.start import PostureSearch
         from app.simulation.session import check_avoidance
 
         check_avoidance(model, data)
@@ -58,19 +54,19 @@ class WayOutScenario(Scenario):
         search, mobile = PostureSearch(model, pairs, d_b), len(pairs.mobile)
         rng = np.random.default_rng([seed, BEGINS.index(self.begin)])
         depth = (-DEEPEST, 0.0) if self.begin == "penetration" else (0.0, d_b)
-        kinds: list[tuple[int, bool | None]] = []  # index of the pair; whether the arm is above
+        cases: list[tuple[int, bool | None]] = []  # index of the pair; whether the arm is above
         if self.begin != "arm":
-            kinds += product(range(mobile), (True, False))
+            cases += product(range(mobile), (True, False))
         if self.begin != "buffer":
-            kinds += [(i, None) for i in range(mobile, len(pairs.all))]
-        if not kinds:
+            cases += [(i, None) for i in range(mobile, len(pairs.all))]
+        if not cases:
             raise UnreachableError(
                 f"--begin {self.begin}: no monitored bodies within the arm of "
                 f"{model.description.name} can meet; choose --begin buffer or penetration"
             )
-        for k in rng.permutation(len(kinds)):
+        for k in rng.permutation(len(cases)):
             guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
-            judge = partial(_judge, search, *kinds[k], depth)
+            judge = partial(_judge, search, *cases[k], depth)
             if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
                 return Setting(model, data, np.zeros(3), q_m, config)
         raise UnreachableError(
@@ -86,7 +82,7 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if the posture is a valid start, else 0; `depth` [m] is the range of the nearest pair i."""
+    """1 if pair i is the nearest, in the range `depth` [m], and the posture a valid start; or 0."""
     closest = search.monitor.find_closest_points()
     pair = closest[i]
     if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):

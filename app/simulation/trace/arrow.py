@@ -21,8 +21,7 @@ pa.set_memory_pool(pa.system_memory_pool())  # the default pool reserves 1 GB of
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
     """Read header and table of an untrusted file; a missing or faulty file raises a LogError."""
-    try:
-        # A small Parquet file can contain millions of equal rows.
+    try:  # a small Parquet file can contain millions of equal rows
         smallest = 0 if path.suffix.lower() == ".csv" else SMALL + 1
         return within_budget(_read, path, size=max(path.stat().st_size, smallest))
     except FileNotFoundError:
@@ -43,8 +42,7 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
     """Write a table as CSV if the name ends in .csv, otherwise as Parquet, completely or not at
-    all. A header that is not empty becomes a comment on the first line of CSV, or metadata of
-    Parquet. Equal tables with equal headers give equal bytes.
+    all, and always with the same bytes. CSV has the header as a comment, Parquet as metadata.
     """
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":

@@ -40,7 +40,7 @@ class TraceMeta(Strict):
     joint_units: tuple[Literal["rad", "m"], ...]
     joint_speeds: tuple[Positive, ...] = ()  # (n_m,) [rad/s or m/s] limits; empty if unknown
     joint_torques: tuple[Positive, ...] = ()  # (n_m,) [N m or N] limits; empty if unknown
-    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # names in columns, by axis
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")  # names in columns, such as vx_mps, by axis
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
     wheels: tuple[str, ...] = ("right", "left")  # names of the angles of the base's wheels
     pairs: tuple[str, ...]  # names of all link pairs, in the order of the distances
@@ -70,15 +70,15 @@ class TraceMeta(Strict):
     def of(cls, model: RobotModel, pairs: Mapping[str, bool], config: Config, **about: Any) -> Self:
         """The data of a run; `pairs` states whether each link pair is one with the base (L_m)."""
         arm, base = model.description.arm, model.description.base
-        velocities, accelerations = zip(*map(_rate_columns, base.axes), strict=True)
+        names = [(axis_name(each), "radps" if each.angular else "mps") for each in base.axes]
         return cls(
             robot=model.description.name,
             joints=tuple(arm.joints),
             joint_units=model.joint_units,
             joint_speeds=tuple(model.qd_max.tolist()),
             joint_torques=tuple(model.tau_max.tolist()),
-            velocities=velocities,
-            accelerations=accelerations,
+            velocities=tuple(f"{name}_{unit}" for name, unit in names),
+            accelerations=tuple(f"a{name.removeprefix('v')}_{unit}2" for name, unit in names),
             wheels=tuple(wheels.name for wheels in base.wheels),
             pairs=tuple(pairs),
             mobile_pairs=tuple(name for name, mobile in pairs.items() if mobile),
@@ -92,17 +92,10 @@ def axis_name(axis: Axis) -> str:
     return axis.symbol.replace("_", "").replace("ω", "w")
 
 
-def _rate_columns(axis: Axis) -> tuple[str, str]:
-    """Names of the columns of an axis's velocity and acceleration, such as vx_mps and ax_mps2."""
-    name, unit = axis_name(axis), "radps" if axis.angular else "mps"
-    return f"{name}_{unit}", f"a{name.removeprefix('v')}_{unit}2"
-
-
 def column_names(template: str, meta: TraceMeta) -> list[str]:
-    """The names of a quantity's columns, which end in the unit, if any.
-
-    Templates are such as `p_ee_{xyz}_m` for x, y and z; `u_{joint}_{effort}` for the joints, in N m
-    or N; `base_{velocity}` for the base's axes, in m/s or rad/s; `d_{pair}_m` for the link pairs.
+    """The names of a quantity's columns, by a template such as `p_ee_{xyz}_m` for x, y and z;
+    `u_{joint}_{effort}` for the joints, in N m or N; `base_{velocity}` for the base's axes, in m/s
+    or rad/s; `d_{pair}_m` for the link pairs.
     """
     joints = zip(meta.joints, meta.joint_units, strict=True)
     plain: dict[str, Sequence[str]] = {
@@ -152,16 +145,15 @@ def number(
     """A quantity of one number or text, or of an array (k,) if the `template` names k columns.
 
     `template` is as in `column_names`. `source` is the value's attribute of `Step`, as in
-    `Quantity.paths`, or its computation at 50 Hz, as in `Quantity.take`. If not `often`, the value
-    is recorded only at snapshots. If `optional`, the value can be None. A ValueError is raised if
+    `Quantity.paths`, or its computation at 50 Hz, as in `Quantity.take`. A value that is not
+    `often` is recorded only at snapshots, an `optional` one can be None. A ValueError is raised if
     `often` has neither an attribute nor a computed number.
     """
     single = "{" not in template
     if often and not isinstance(source, str) and (source is None or not single):
-        raise ValueError(
-            f"{template}: `source` must be an attribute of `Step`, or compute one number, because "
-            "the value is recorded at each control step; otherwise use `drawn`"
-        )
+        why = f"{template}: `source` must be an attribute of `Step`, or compute one number"
+        helps = "the value is recorded at each control step; otherwise use `drawn`"
+        raise ValueError(f"{why}, because {helps}")
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(name, kind, optional, often) for name in column_names(template, meta)]
@@ -199,19 +191,16 @@ def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
     """A quantity for a tuple of named tuples of type `kind`, as JSON; "" for an empty tuple."""
     hints = get_type_hints(kind)
 
-    def inner(name: str, data: Any) -> Any:
-        return frozen(data) if hints[name] is np.ndarray else data
-
     def cells(values: Sequence[Any], _: TraceMeta) -> Sequence[Cell]:
-        rows = [
-            {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in each._asdict().items()}
-            for each in values
-        ]
-        return (json.dumps(rows) if rows else "",)
+        rows = [each._asdict() for each in values]
+        return (json.dumps(rows, default=np.ndarray.tolist) if rows else "",)
+
+    def field(name: str, data: Any) -> Any:
+        return frozen(data) if hints[name] is np.ndarray else data
 
     def value(cells: Sequence[str], _: TraceMeta) -> tuple[Any, ...]:
         rows = parsed(json.loads, cells[0] or "[]")
-        return tuple(kind(**{k: inner(k, v) for k, v in row.items()}) for row in rows)
+        return tuple(kind(**{k: field(k, v) for k, v in row.items()}) for row in rows)
 
     return Quantity(lambda _: (Column(name, "text"),), cells, value, take)
 

@@ -24,6 +24,7 @@ SUFFIXES = ".csv", ".parquet"  # the ending of a file's name selects the format
 
 _NEWER = "; if a newer version of this program wrote the log, read it with that version"
 _FORMAT = ("dbb_log", "format")  # place of the number of the format in the header
+_NO_LOG = "missing", ("dbb_log",)  # problem of a header without a record `dbb_log`
 _CELL = 100  # [bytes] memory for a cell of a snapshot
 _NUMBER = 8  # [bytes] memory for a number of the table
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
@@ -41,26 +42,24 @@ class LogHeader(Strict):
         try:
             return cls.model_validate_json(text)
         except ValidationError as error:
-            problems = [(p["type"], p["loc"]) for p in problems_of(error)]
-            if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
+            problems = problems_of(error)
+            stated = next((p["input"] for p in problems if p["loc"] == _FORMAT), None)
+            if any(not p["loc"] or (p["type"], p["loc"]) == _NO_LOG for p in problems):
                 fault = "the file has no metadata of a log: dbb run --log or --out writes logs"
-                raise LogError(fault) from None
-            formats = [p["input"] for p in problems_of(error) if p["loc"] == _FORMAT]
-            if formats and isinstance(formats[0], int):
+            elif isinstance(stated, int):
                 own = TraceMeta.model_fields["format"].default
-                age = "an older" if formats[0] < own else "a newer"
-                raise LogError(
-                    f"the format is {formats[0]}, but this version reads {own}; {age} version of "
-                    "this program wrote the log: read it with that version"
-                ) from None
-            unknown = {"extra_forbidden", "literal_error"} & {kind for kind, _ in problems}
-            raise LogError(f"the metadata: {explain(error, cls)}{_NEWER * bool(unknown)}") from None
+                age = "an older" if stated < own else "a newer"
+                helps = f"{age} version of this program wrote the log: read it with that version"
+                fault = f"the format is {stated}, but this version reads {own}; {helps}"
+            else:
+                unknown = any(p["type"] in ("extra_forbidden", "literal_error") for p in problems)
+                fault = f"the metadata: {explain(error, cls)}{_NEWER * unknown}"
+            raise LogError(fault) from None
 
 
 def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the name, completely or not at all. Another
-    ending raises a LogError; if the file cannot be written, this raises an OutputError.
-    `read_trace` cannot read the file of a trace without snapshots.
+    ending raises a LogError, a failure of writing an OutputError. `read_trace` needs snapshots.
     """
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)
@@ -90,7 +89,10 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     """A trace from a file's header `text` and table `found`; a fault raises a LogError."""
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
-    names = _quantities(found.column_names, meta)
+    needed = {each.name for each in fields(Snapshot) if each.default is MISSING}
+    names_of = {key: {c.name for c in each.columns(meta)} for key, each in QUANTITIES.items()}
+    present = {key for key, names in names_of.items() if not names.isdisjoint(found.column_names)}
+    names = [name for name in QUANTITIES if name in needed | present]
     known = [column for name in names for column in QUANTITIES[name].columns(meta)]
     _check_names(found.column_names, known)
     often = [column for column in known if column.often]
@@ -107,20 +109,14 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     table = np.empty((rows, len(often)))
     for k, column in enumerate(often):
         table[:, k] = _cast(column, found[column.name], rows).to_numpy()
-    _check_times(table[:, 0])
+    gaps, times = np.diff(table[:, 0]), table[:, 0]
+    if not np.isfinite(times).all():
+        raise LogError("a time is not a finite number")
+    if not (gaps > 0.0).all():
+        k = int(np.argmin(gaps > 0.0))
+        raise LogError(f"the times are not in order: {times[k + 1]:g} s follows {times[k]:g} s")
     cells = {c: _cells(c, found[c.name], drawn[c.name]) for c in known}
     return Trace(meta, table, _snapshots(meta, cells, names), names)
-
-
-def _quantities(found: Sequence[str], meta: TraceMeta) -> list[str]:
-    """Names of the quantities with a column in `found`, and of all without a default value."""
-    optional = {each.name for each in fields(Snapshot) if each.default is not MISSING}
-    present = frozenset(found)
-    return [
-        name
-        for name, quantity in QUANTITIES.items()
-        if name not in optional or present.intersection(c.name for c in quantity.columns(meta))
-    ]
 
 
 def _snapshots(
@@ -128,11 +124,10 @@ def _snapshots(
 ) -> list[Snapshot]:
     values: dict[str, list[Any]] = {}
     for name in names:
-        quantity = QUANTITIES[name]
-        columns = quantity.columns(meta)
+        columns = QUANTITIES[name].columns(meta)
         rows = zip(*(cells[column] for column in columns), strict=True)
         try:
-            values[name] = [quantity.value(row, meta) for row in rows]
+            values[name] = [QUANTITIES[name].value(row, meta) for row in rows]
         except (DbbError, ValueError, TypeError, KeyError, AttributeError) as error:
             names = ", ".join(column.name for column in columns[:3])
             raise LogError(f"columns {names}: {error}") from None
@@ -156,9 +151,8 @@ def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArr
     """Convert a column to its type; unless optional or text, it must have `filled` values."""
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
-        raise LogError(
-            f"column {column.name}: {filled - empty} cells have a value, but {filled} must have one"
-        )
+        count = f"{filled - empty} cells have a value, but {filled} must have one"
+        raise LogError(f"column {column.name}: {count}")
     try:
         return values.cast(_TYPES[column.kind])
     except pa.ArrowException as error:
@@ -179,19 +173,9 @@ def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
     for name in found:
         if name not in names:
             raise LogError(f"unknown column {name!r}{did_you_mean(name, names)}{_NEWER}")
-    missing = [c.name for c in known if c.name not in found]
-    if missing:
+    if missing := [name for name in names if name not in found]:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise LogError(f"column {missing[0]!r} is missing{more}")
-
-
-def _check_times(times: np.ndarray) -> None:
-    if not np.isfinite(times).all():
-        raise LogError("a time is not a finite number")
-    gaps = np.diff(times)
-    if not (gaps > 0.0).all():
-        k = int(np.argmin(gaps > 0.0))
-        raise LogError(f"the times are not in order: {times[k + 1]:g} s follows {times[k]:g} s")
 
 
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:

@@ -23,7 +23,6 @@ import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from itertools import chain, groupby
-from math import nan
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -32,7 +31,6 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
-import trimesh
 from foxglove import Channel, Context, Schema, open_mcap
 from foxglove import messages as fg
 from foxglove.mcap import MCAPWriteOptions
@@ -50,8 +48,7 @@ from app.strict import Array
 from app.system import write_whole
 
 WORLD = "world"  # name of the world's frame
-Materials = Mapping[str | None, Element]  # materials of the robot by name
-Records = Iterable[tuple[float, Mapping[str, Any]]]  # time [s] and fields of each record
+Records = Iterable[Mapping[str, Any]]  # fields of each record
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
 _BODY = fg.Color(r=0.25, g=0.6, b=0.9, a=0.4)
@@ -60,7 +57,6 @@ _INSIDE = fg.Color(r=1, g=0.7, b=0.1, a=1)  # of the buffer
 _CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
 _MEDIA = {".glb": "gltf-binary", ".stl": "stl", ".obj": "obj", ".dae": "vnd.collada+xml"}
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
-_NONE = np.empty(0)  # no velocities or efforts in a message
 _STORE: Any = get_typestore(Stores.ROS2_JAZZY)
 _ROS = _STORE.types  # constructors of messages by their types
 
@@ -84,21 +80,15 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     write_whole(path, file.getvalue())
 
 
-def _put(log: Context, topic: str, t: float, content: bytes, schema: Schema) -> None:
-    """Append a message at time t [s]; foxglove reuses the channel of an equal topic."""
-    encoding = "cdr" if schema.encoding == "ros2msg" else schema.encoding
+def _put(log: Context, topic: str, t: float, message: Any) -> None:
+    """Append a message of ROS or foxglove at t [s]; an equal topic has the same channel again."""
+    if kind := getattr(message, "__msgtype__", ""):
+        schema, encoding = _ros_schema(kind), "cdr"
+        content = bytes(_STORE.serialize_cdr(message, kind))
+    else:
+        schema, encoding, content = message.get_schema(), "protobuf", message.encode()
     channel = Channel(topic, schema=schema, message_encoding=encoding, context=log)
     channel.log(content, log_time=round(1e9 * t))
-
-
-def _put_entities(log: Context, topic: str, t: float, entities: list[fg.SceneEntity]) -> None:
-    scene = fg.SceneUpdate(entities=entities)
-    _put(log, topic, t, scene.encode(), scene.get_schema())
-
-
-def _put_ros(log: Context, topic: str, t: float, message: Any) -> None:
-    kind = message.__msgtype__
-    _put(log, topic, t, bytes(_STORE.serialize_cdr(message, kind)), _ros_schema(kind))
 
 
 @cache
@@ -107,20 +97,18 @@ def _ros_schema(kind: str) -> Schema:
     return Schema(name=kind, encoding="ros2msg", data=definition.encode())
 
 
-def _joint_state(
-    t: float, names: list[str], positions: Array, velocities: Array = _NONE, efforts: Array = _NONE
-) -> Any:
-    kind = _ROS["sensor_msgs/msg/JointState"]
-    return kind(_header(t, ""), names, positions, velocities, efforts)
+def _put_joints(log: Context, topic: str, t: float, names: list[str], *values: Array) -> None:
+    """Write positions and, if they are known, velocities and efforts of joints."""
+    columns = *values, *[np.empty(0)] * (3 - len(values))
+    _put(log, topic, t, _ROS["sensor_msgs/msg/JointState"](_header(t, ""), names, *columns))
 
 
 def _put_motion(log: Context, trace: Trace, model: RobotModel) -> None:
-    """Write the URDF, the states of arm joints and wheels, and each link's pose in its parent link.
-
-    Unknown speeds and torques of wheels are NaN. The last pose is that of the end-effector's frame.
+    """Write the URDF, the states of arm joints and wheels, and the poses of all links and of the
+    end-effector's frame in their parent links. Unknown speeds and torques of wheels are NaN.
     """
     whole, urdf = whole_model(model.description), shown_urdf(model.description)
-    _put_ros(log, "/robot_description", trace.snapshots[0].t, _ROS["std_msgs/msg/String"](urdf))
+    _put(log, "/robot_description", trace.snapshots[0].t, _ROS["std_msgs/msg/String"](urdf))
     data, frames = whole.createData(), whole.frames
     links = [i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY]
     parents = [frames[frames[i].parentFrame].parentFrame for i in links]  # of the joint: a link
@@ -129,17 +117,17 @@ def _put_motion(log: Context, trace: Trace, model: RobotModel) -> None:
     link = model.pin.frames[tip.parentFrame]
     for s in trace.snapshots:
         positions = model.joint_positions(s.q_m, s.wheel_angles)
-        unknown = [nan] * (len(positions) - model.n_m)
-        speeds = _NONE if s.qd_m is None else np.array([*s.qd_m, *unknown])
-        values = np.array([*positions.values()]), speeds, np.array([*s.u_a, *unknown])
-        _put_ros(log, "/joint_states", s.t, _joint_state(s.t, [*positions], *values))
+        unknown = [np.nan] * (len(positions) - model.n_m)
+        speeds = [] if s.qd_m is None else [*s.qd_m, *unknown]
+        values = map(np.array, ([*positions.values()], speeds, [*s.u_a, *unknown]))
+        _put_joints(log, "/joint_states", s.t, [*positions], *values)
         q = configured(whole, positions)
         q[:4] = model.configuration(s.base_pose, s.q_m)[:4]
         pin.framesForwardKinematics(whole, data, q)
         T, ends = data.oMf, zip(parents, links, strict=True)
         poses = [_frame(s.t, names[k], names[i], T[k].actInv(T[i])) for k, i in ends]
         poses.append(_frame(s.t, link.name, tip.name, link.placement.actInv(tip.placement)))
-        _put_ros(log, "/tf", s.t, _ROS["tf2_msgs/msg/TFMessage"](poses))
+        _put(log, "/tf", s.t, _ROS["tf2_msgs/msg/TFMessage"](poses))
 
 
 def _put_scene(log: Context, trace: Trace, model: RobotModel) -> None:
@@ -151,12 +139,12 @@ def _put_scene(log: Context, trace: Trace, model: RobotModel) -> None:
         models = [_visual(each, materials, name) for each in link.iterfind("visual")]
         robot.append(fg.SceneEntity(frame_id=name, id=name, models=[*filter(None, models)]))
     for body in model.description.bodies:
-        shapes = [_model(each.placement(), shape_mesh(each), _BODY) for each in body.shapes]
+        shapes = [_model(s.placement(), export_glb(shape_mesh(s)), _BODY) for s in body.shapes]
         bodies.append(fg.SceneEntity(frame_id=body.frame, id=body.name, models=shapes))
-    _put_entities(log, "/robot", begin, robot)
-    _put_entities(log, "/bodies", begin, bodies)
+    _put(log, "/robot", begin, fg.SceneUpdate(entities=robot))
+    _put(log, "/bodies", begin, fg.SceneUpdate(entities=bodies))
     for s in trace.snapshots:
-        _put_entities(log, "/markers", s.t, _markers(s))
+        _put(log, "/markers", s.t, fg.SceneUpdate(entities=_markers(s)))
 
 
 def _put_numbers(log: Context, trace: Trace) -> None:
@@ -164,31 +152,31 @@ def _put_numbers(log: Context, trace: Trace) -> None:
         row = trace.table[trace.row_at(s.t)]
         for quantity, columns in trace.groups.items():
             values = row[[trace.index[name] for name in columns]]
-            _put_ros(log, f"/curves/{quantity}", s.t, _joint_state(s.t, columns, values))
-    changes = groupby(trace.snapshots, key=lambda s: s.config)
-    parameters = (
-        (next(of).t, {f"{name}_{key}": x for name, part in config for key, x in part})
-        for config, of in changes
-    )
-    _put_records(log, "/parameters", "Config", parameters)
+            _put_joints(log, f"/curves/{quantity}", s.t, columns, values)
+    changed = [next(of) for _, of in groupby(trace.snapshots, key=lambda s: s.config)]
+    parameters = ({f"{name}_{k}": x for name, part in s.config for k, x in part} for s in changed)
+    _put_records(log, "/parameters", "Config", [s.t for s in changed], parameters)
     names = _fields(column.name for column in trace.columns)
     rows = (dict(zip(names, row, strict=True)) for row in trace.table.tolist())
-    _put_records(log, "/step", "Step", zip(trace.t.tolist(), rows, strict=True))
+    _put_records(log, "/step", "Step", trace.t.tolist(), rows)
 
 
-def _put_records(log: Context, topic: str, name: str, records: Records) -> None:
-    """Write records of numbers and texts, each with a time [s]; the first defines the fields."""
+def _put_records(
+    log: Context, topic: str, name: str, times: Iterable[float], records: Records
+) -> None:
+    """Write records of numbers and texts at `times` [s]; the first record defines the fields."""
     records = iter(records)
-    begin, example = next(records)
+    example = next(records)
     file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
     fields = file.message_type.add(name=name).field
     for number, (field, value) in enumerate(example.items(), 1):
         fields.add(name=field, number=number, label=1, type=9 if isinstance(value, str) else 1)
     data, name = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), f"dbb.{name}"
     schema = Schema(name=name, encoding="protobuf", data=data)
+    channel = Channel(topic, schema=schema, message_encoding="protobuf", context=log)
     kind = message_factory.GetMessages([file])[name]
-    for t, values in chain([(begin, example)], records):
-        _put(log, topic, t, kind(**values).SerializeToString(), schema)
+    for t, values in zip(times, chain([example], records), strict=True):
+        channel.log(kind(**values).SerializeToString(), log_time=round(1e9 * t))
 
 
 def _fields(names: Iterable[str]) -> list[str]:
@@ -202,7 +190,9 @@ def _fields(names: Iterable[str]) -> list[str]:
     return list(found.values())
 
 
-def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
+def _visual(
+    visual: Element, materials: dict[str | None, Element], link: str
+) -> fg.ModelPrimitive | None:
     """A visual of a link; None without a shape, or if a mesh is too large or of unknown format."""
     where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
@@ -210,30 +200,27 @@ def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimiti
     T, rgba = origin(visual, where), colour(visual, materials)
     tint = fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
     if shape.tag != "mesh":
-        return _model(T, primitive(shape, where)[0], tint or _GREY)
+        return _model(T, export_glb(primitive(shape, where)[0]), tint or _GREY)
     file = Path(unquote(urlsplit(shape.get("filename", "")).path))
     end = file.suffix.lower()
     if end not in _MEDIA or file.stat().st_size > _LARGEST_MESH:
         return None
     tint = tint or (_GREY if end == ".stl" else None)  # other formats have their own colours
-    return _model(T, file, tint, numbers(shape, "scale", (1.0,) * 3, where))
+    scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
+    return _model(T, file.read_bytes(), tint, end, scale)
 
 
 def _model(
     T: pin.SE3,
-    shape: trimesh.Trimesh | Path,
+    content: bytes,
     colour: fg.Color | None,
+    end: str = ".glb",
     scale: Iterable[float] = (1.0, 1.0, 1.0),
 ) -> fg.ModelPrimitive:
-    is_file = isinstance(shape, Path)
-    return fg.ModelPrimitive(
-        pose=_pose(T),
-        scale=fg.Vector3(**_xyz(scale)),
-        color=colour,
-        override_color=colour is not None,
-        media_type=f"model/{_MEDIA[shape.suffix.lower() if is_file else '.glb']}",
-        data=shape.read_bytes() if is_file else export_glb(shape),
-    )
+    """The mesh file `content` with the ending `end`; a `colour` replaces the file's own ones."""
+    about = {"scale": fg.Vector3(**_xyz(scale)), "media_type": f"model/{_MEDIA[end]}"}
+    shown = {"color": colour, "override_color": colour is not None}
+    return fg.ModelPrimitive(pose=_pose(T), data=content, **about, **shown)
 
 
 def _markers(s: Snapshot) -> list[fg.SceneEntity]:
@@ -251,11 +238,12 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
     ]
     forces = [_arrow(each.p_act, each.f, _INSIDE) for each in s.acting]
     points = (p for each in s.acting for p in (each.p_n, each.p_t, each.p_act))
-    ball = {"size": fg.Vector3(x=0.025, y=0.025, z=0.025), "color": _INSIDE}
-    poses = (_pose(pin.SE3(np.eye(3), np.array(p))) for p in points)
-    balls = [fg.SpherePrimitive(pose=pose, **ball) for pose in poses]
+    poses = (_pose(pin.SE3(np.eye(3), p)) for p in points)
+    size = fg.Vector3(x=0.025, y=0.025, z=0.025)
+    balls = [fg.SpherePrimitive(pose=pose, size=size, color=_INSIDE) for pose in poses]
     person = _arrow(s.p_ee, s.hand_force, _GREY)
-    about = {"timestamp": fg.Timestamp(*_stamp(s.t)), "frame_id": WORLD}
+    stamp = _header(s.t, WORLD).stamp
+    about = {"timestamp": fg.Timestamp(stamp.sec, stamp.nanosec), "frame_id": WORLD}
     return [
         fg.SceneEntity(id="closest points", lines=lines, **about),
         fg.SceneEntity(id="avoidance", arrows=forces, spheres=balls, **about),
@@ -266,9 +254,9 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
 def _arrow(start: Array, force: Array, colour: fg.Color) -> fg.ArrowPrimitive:
     """An arrow for a force (3,) [N] at a point (3,) [m]."""
     newtons, x = float(np.linalg.norm(force)), np.array([1.0, 0.0, 0.0])
-    turn = pin.Quaternion.FromTwoVectors(x, np.asarray(force) if newtons > 0 else x)
+    turn = pin.Quaternion.FromTwoVectors(x, force if newtons > 0 else x)
     return fg.ArrowPrimitive(
-        pose=_pose(pin.SE3(turn, np.asarray(start))),
+        pose=_pose(pin.SE3(turn, start)),
         shaft_length=_METRES_PER_NEWTON * newtons,
         shaft_diameter=0.016,
         head_length=0.035 if newtons > 0 else 0.0,
@@ -278,8 +266,8 @@ def _arrow(start: Array, force: Array, colour: fg.Color) -> fg.ArrowPrimitive:
 
 
 def _pose(T: pin.SE3) -> fg.Pose:
-    at, turn = fg.Vector3(**_xyz(T.translation)), pin.SE3ToXYZQUAT(T)[3:]
-    return fg.Pose(position=at, orientation=fg.Quaternion(**_xyz(turn)))
+    at, turn = _xyz(T.translation), _xyz(pin.Quaternion(T.rotation).coeffs())
+    return fg.Pose(position=fg.Vector3(**at), orientation=fg.Quaternion(**turn))
 
 
 def _xyz(values: Iterable[float]) -> dict[str, float]:
@@ -287,19 +275,12 @@ def _xyz(values: Iterable[float]) -> dict[str, float]:
     return dict(zip("xyzw", map(float, values), strict=False))
 
 
-def _stamp(t: float) -> tuple[int, int]:
-    """Seconds and nanoseconds of a time t [s]."""
-    return divmod(round(1e9 * t), 10**9)
-
-
 def _frame(t: float, parent: str, child: str, T: pin.SE3) -> Any:
-    values = pin.SE3ToXYZQUAT(T).tolist()
-    place = _ROS["geometry_msgs/msg/Vector3"](*values[:3])
-    turn = _ROS["geometry_msgs/msg/Quaternion"](*values[3:])
-    motion = _ROS["geometry_msgs/msg/Transform"](place, turn)
+    place = _ROS["geometry_msgs/msg/Vector3"](*T.translation)
+    motion = _ROS["geometry_msgs/msg/Transform"](place, pin.Quaternion(T.rotation))
     return _ROS["geometry_msgs/msg/TransformStamped"](_header(t, parent), child, motion)
 
 
 def _header(t: float, frame: str) -> Any:
-    stamp = _ROS["builtin_interfaces/msg/Time"](*_stamp(t))
+    stamp = _ROS["builtin_interfaces/msg/Time"](*divmod(round(1e9 * t), 10**9))
     return _ROS["std_msgs/msg/Header"](stamp, frame)

@@ -1,7 +1,9 @@
 """Figures of merit of a run: the results of `dbb run`, sweeps, studies, claims and reports."""
 
 import math
+import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,25 +35,20 @@ class Figure(NamedTuple):
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """Compute all figures of a run; those for which the trace has no data are None. Changes between
-    control steps have data only if each step has a row. The figures of `DOOR` are included only if
-    a door was opened in the run. The key of a figure with a unit ends in the unit.
+    """Compute all figures of a run, by keys that end in the unit, if any; those of `DOOR` only if a
+    door was opened. Without data a figure is None: a change per step needs a row for each step.
     """
-    figures = {key: _value(figure, run) for key, figure in FIGURES.items()}
+    figures: dict[str, Any] = dict.fromkeys(FIGURES)
+    for key, figure in FIGURES.items():
+        with suppress(LogError):
+            figures[key] = figure.of(run)
     if not run.each_step:
-        figures |= dict.fromkeys(k for k in figures if k.endswith(("_jump_max", "_sign_changes")))
-        figures["torque_jump_max_nm"] = None
+        figures |= dict.fromkeys(k for k in figures if re.search("_jump_max|_sign_changes$", k))
     estimated = ~np.isnan(run["radial_error_rad"]) if "radial_error_rad" in run.index else []
     opening = run.rows(np.flatnonzero(estimated))
-    of_door = len(opening) and any(pair.endswith(BODY) for pair in run.meta.pairs)
-    return figures | ({key: figure.of(opening) for key, figure in DOOR.items()} if of_door else {})
-
-
-def _value(figure: Figure, run: Trace) -> Any:
-    try:
-        return figure.of(run)
-    except LogError:
-        return None
+    if len(opening) and any(pair.endswith(BODY) for pair in run.meta.pairs):
+        figures |= {key: figure.of(opening) for key, figure in DOOR.items()}
+    return figures
 
 
 def touches(figures: dict[str, Any]) -> list[str]:
@@ -63,31 +60,25 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     """The result of a run in words: contact, smallest distance, remaining error, missing values.
     With a `chain` of the bodies' names from the base outwards, pairs have displayed names.
     """
-
-    def name(pair: str) -> str:
-        return spoken(pair, chain) if chain else pair
-
     touched, distances = touches(figures), figures["min_distance_m"]
     known = {pair: d for pair, d in distances.items() if d is not None and math.isfinite(d)}
-    least, larger = min(known.values(), default=math.inf), ""
+    names = {pair: spoken(pair, chain) if chain else pair for pair in distances}
+    least, error = min(known.values(), default=math.inf), figures["ee_error_final_m"]
     result = outcome(least, touched=bool(touched))
     text = f"The arm touched {' and '.join(touched)}" if touched else result.capitalize()
     if known:
         near = f"smallest distance {1000 * least:.0f}"
         if least < 0:
             near = f"bodies overlapped by {-1000 * least:.1f}"
-        text += f"; {near} mm ({name(min(known, key=known.__getitem__))})"
-    if result == "overlap":
-        larger = (
-            " Distances are between convex bodies that enclose the links: they can overlap without"
-            " contact."
-        )
+        text += f"; {near} mm ({names[min(known, key=known.__getitem__)]})"
     if lost := sorted(distances.keys() - known.keys()):
-        text += f"; without a distance: {', '.join(map(name, lost))}"
-    error, final = figures["ee_error_final_m"], "is missing"
-    if error is not None and math.isfinite(error):
-        final = f"{1000 * error:.1f} mm"
-    return f"{text}; final end-effector error {final}.{larger}"
+        text += f"; without a distance: {', '.join(names[pair] for pair in lost)}"
+    final = "is missing" if error is None or not math.isfinite(error) else f"{1000 * error:.1f} mm"
+    text += f"; final end-effector error {final}."
+    if result == "overlap":
+        text += " Distances are between convex bodies that enclose the links: they can overlap"
+        text += " without contact."
+    return text
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
@@ -131,16 +122,15 @@ def _by_axis(run: Trace, quantity: str) -> tuple[Array, Array]:
 
 def _path_after_release(run: Trace) -> float | None:
     held = np.flatnonzero(run.of("people"))
-    if not len(held) or held[-1] == len(run.t) - 1:
-        return None
-    return path(run.rows(slice(held[-1], None)))
+    released = len(held) and held[-1] < len(run.t) - 1
+    return path(run.rows(slice(held[-1], None))) if released else None
 
 
 def _clear_since(run: Trace) -> float | None:
     near = np.flatnonzero((run.betas >= 1.0).any(axis=1))
     if not len(near):
         return 0.0
-    return None if near[-1] == len(run.t) - 1 else float(run.t[near[-1]])
+    return float(run.t[near[-1]]) if near[-1] < len(run.t) - 1 else None
 
 
 def _force(run: Trace) -> Array:
@@ -181,136 +171,6 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _total(quantity: str) -> Callable[[Trace], int]:
-    return lambda run: int(run.of(quantity).sum())
-
-
-FIGURES: dict[str, Figure] = {
-    "min_distance_m": Figure(
-        "Smallest distance of each link pair; a negative distance is an overlap of bodies.",
-        lambda r: dict(zip(r.meta.pairs, r.distances.min(axis=0).tolist(), strict=True)),
-    ),
-    "min_clearance_m": Figure(
-        "Smallest distance of the pairs with the base.", lambda r: clearance(r, mobile=True)
-    ),
-    "contacts": Figure("Steps in which the arm touched the base.", _total("in_contact")),
-    "arm_min_clearance_m": Figure(
-        "Smallest distance of the pairs within the arm.", lambda r: clearance(r, mobile=False)
-    ),
-    "arm_contacts": Figure("Steps in which the arm touched itself.", _total("arm_in_contact")),
-    "floor_contacts": Figure("Steps in which the arm touched the floor.", _total("floor_contact")),
-    "ee_error_max_m": Figure(
-        "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
-    ),
-    "ee_error_final_m": Figure(
-        "Final distance of the end-effector from its target.", lambda r: r.of("ee_error")[-1].item()
-    ),
-    "base_displacement_m": Figure(
-        "Displacement of the base from start to end.", lambda r: float(np.hypot(*_moves(r)[-1, :2]))
-    ),
-    "base_path_m": Figure("Length of the path of the base's centre.", path),
-    "base_path_after_release_m": Figure(
-        "Length of the base's path since the last release; null without a release, or if a person "
-        "holds the robot at the end.",
-        _path_after_release,
-    ),
-    "base_speed_final_mps": Figure(
-        "Final speed of the base's centre.",
-        lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
-    ),
-    "base_yaw_rad": Figure(
-        "Rotation of the base from start to end.", lambda r: float(_moves(r)[-1, 2])
-    ),
-    "activation_max": Figure(
-        "Largest activation of the controller's avoidance rows; 0 without such rows.",
-        lambda r: largest(r.of("activation")),
-    ),
-    "base_acceleration_jump_max": Figure(
-        "Largest change of the commanded base acceleration in one step.",
-        lambda r: jumps(r, "base_acceleration"),
-    ),
-    "base_acceleration_sign_changes": Figure(
-        "Sign changes of the commanded base acceleration.",
-        lambda r: _base_sign_changes(r, "base_acceleration"),
-    ),
-    "avoidance_acceleration_jump_max": Figure(
-        "Largest change of the base acceleration of avoidance in one step.",
-        lambda r: jumps(r, "avoidance_acceleration"),
-    ),
-    "avoidance_acceleration_sign_changes": Figure(
-        "Sign changes of the base acceleration of avoidance.",
-        lambda r: _base_sign_changes(r, "avoidance_acceleration"),
-    ),
-    "torque_jump_max_nm": Figure(
-        "Largest change of a joint's torque or force in one step.",
-        lambda r: largest(np.abs(np.diff(r.of("u_a"), axis=0))),
-    ),
-    "torque_rate_sign_changes": Figure(
-        "Largest number of sign changes of a torque's rate.",
-        lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
-    ),
-    "hand_force_max_n": Figure(
-        "Largest force of people on the end-effector, or of the end-effector on the door it holds.",
-        lambda r: largest(_force(r)),
-    ),
-    "hand_force_clear_max_n": Figure(
-        "As `hand_force_max_n`, until two bodies first come nearer than 10 mm.", _clear_force
-    ),
-    "force_bound_min_n": Figure(
-        "Smallest value during the run of the largest force of a person that the arm can resist, "
-        "computed at 50 Hz; null if it was never computed.",
-        lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
-    ),
-    "hand_speed_max_mps": Figure(
-        "Largest speed of the end-effector.", lambda r: largest(r.of("ee_speed"))
-    ),
-    "joint_speed_share_max": Figure(
-        "Largest ratio of a joint's speed to its limit.", _joint_speed_share
-    ),
-    "joint_speed_share_unsaturated_max": Figure(
-        "Largest ratio of a joint's speed to its limit, except while a torque is at its limit and "
-        "for 0.1 s afterwards, because the arm cannot resist then.",
-        _unsaturated_speed_share,
-    ),
-    "clear_since_s": Figure(
-        "Time after which no pair is fully activated; 0 if none ever was, null if a pair is fully "
-        "activated at the end.",
-        _clear_since,
-    ),
-    "approach_speed_max_mps": Figure(
-        "Speed of the approach to the base that requires the largest d_b.",
-        lambda r: r.buffer.approach_speed_max,
-    ),
-    "buffer_needed_m": Figure(
-        "The d_b that the approach of `approach_speed_max_mps` requires; null if none suffices.",
-        lambda r: _finite(r.buffer.needed_max),
-    ),
-    "solver_failures": Figure(
-        "Steps with the fallback command.", lambda r: int(r.of("solver_failures")[-1])
-    ),
-    "solver_given_up": Figure(
-        "Steps in which the base's QP had no solution.", lambda r: int(r.of("given_up")[-1])
-    ),
-    "stuck": Figure(
-        "The end-effector's error at the end with its reasons, if the reference rests and the "
-        "error exceeds 1 mm; otherwise null.",
-        lambda r: r.meta.stuck,
-    ),
-    "left_way": Figure(
-        "The largest tracking error with its reasons, if it exceeds 1 mm; otherwise null.",
-        lambda r: r.meta.left_way,
-    ),
-    "fault_s": Figure(
-        "Time of the first report of each fault of the readings.", lambda r: r.meta.faults
-    ),
-    "step_p50_us": Figure("Median time of the controller in a step.", lambda r: _percentile(r, 50)),
-    "step_p99_us": Figure(
-        "99th percentile of the time of the controller in a step.", lambda r: _percentile(r, 99)
-    ),
-}
-"""Figures of every run, by their keys."""
-
-
 def _first(run: Trace, holds: Array) -> float | None:
     """[s] first time at which a flag (N,) is true, or None."""
     return float(run.t[np.argmax(holds)]) if holds.any() else None
@@ -321,41 +181,128 @@ def _door_distance(run: Trace) -> Array:
     return run[f"d_{next(pair for pair in run.meta.pairs if pair.endswith(BODY))}_m"]
 
 
-def _radial_error(run: Trace) -> float | None:
-    late = np.flatnonzero(run.t >= _ESTIMATE_AT)
-    return float(run["radial_error_rad"][late[0]]) if len(late) else None
+_ABOUT = """
+min_distance_m: Smallest distance of each link pair; a negative distance is an overlap of bodies.
+min_clearance_m: Smallest distance of the pairs with the base.
+contacts: Steps in which the arm touched the base.
+arm_min_clearance_m: Smallest distance of the pairs within the arm.
+arm_contacts: Steps in which the arm touched itself.
+floor_contacts: Steps in which the arm touched the floor.
+ee_error_max_m: Largest distance of the end-effector from its target.
+ee_error_final_m: Final distance of the end-effector from its target.
+base_displacement_m: Displacement of the base from start to end.
+base_path_m: Length of the path of the base's centre.
+base_path_after_release_m: Length of the base's path since the last release; null without a release,
+    or if a person holds the robot at the end.
+base_speed_final_mps: Final speed of the base's centre.
+base_yaw_rad: Rotation of the base from start to end.
+activation_max: Largest activation of the controller's avoidance rows; 0 without such rows.
+base_acceleration_jump_max: Largest change of the commanded base acceleration in one step.
+base_acceleration_sign_changes: Sign changes of the commanded base acceleration.
+avoidance_acceleration_jump_max: Largest change of the base acceleration of avoidance in one step.
+avoidance_acceleration_sign_changes: Sign changes of the base acceleration of avoidance.
+torque_jump_max_nm: Largest change of a joint's torque or force in one step.
+torque_rate_sign_changes: Largest number of sign changes of a torque's rate.
+hand_force_max_n: Largest force of people on the end-effector, or of the end-effector on the door it
+    holds.
+hand_force_clear_max_n: As `hand_force_max_n`, until two bodies first come nearer than 10 mm.
+force_bound_min_n: Smallest value during the run of the largest force of a person that the arm can
+    resist, computed at 50 Hz; null if it was never computed.
+hand_speed_max_mps: Largest speed of the end-effector.
+joint_speed_share_max: Largest ratio of a joint's speed to its limit.
+joint_speed_share_unsaturated_max: Largest ratio of a joint's speed to its limit, except while a
+    torque is at its limit and for 0.1 s afterwards, because the arm cannot resist then.
+clear_since_s: Time after which no pair is fully activated; 0 if none ever was, null if a pair is
+    fully activated at the end.
+approach_speed_max_mps: Speed of the approach to the base that requires the largest d_b.
+buffer_needed_m: The d_b that the approach of `approach_speed_max_mps` requires; null if none
+    suffices.
+solver_failures: Steps with the fallback command.
+solver_given_up: Steps in which the base's QP had no solution.
+stuck: The end-effector's error at the end with its reasons, if the reference rests and the error
+    exceeds 1 mm; otherwise null.
+left_way: The largest tracking error with its reasons, if it exceeds 1 mm; otherwise null.
+fault_s: Time of the first report of each fault of the readings.
+step_p50_us: Median time of the controller in a step.
+step_p99_us: 99th percentile of the time of the controller in a step.
+door_angle_final_rad: Final angle of the door.
+door_opened_80deg_at_s: Time at which the door was first open by 80°; null if never.
+door_min_distance_m: Smallest distance between base and door.
+door_contacts: Steps in which the base touched the door.
+first_door_contact_s: Time of the first contact of the base with the door; null if never.
+door_met_base_s: Time of the first contact or overlap of the base with the door; null if never.
+radial_error_at_5s_rad: Error of the estimated radial direction after 5 s; null in a shorter run.
+base_back_off_s: Time at which the base is first 10 mm from its start; null if never.
+"""
 
 
-DOOR: dict[str, Figure] = {
-    "door_angle_final_rad": Figure(
-        "Final angle of the door.", lambda r: float(r["door_angle_rad"][-1])
+_OF_RUN: dict[str, Callable[[Trace], Any]] = {
+    "min_distance_m": lambda r: dict(
+        zip(r.meta.pairs, r.distances.min(axis=0).tolist(), strict=True)
     ),
-    "door_opened_80deg_at_s": Figure(
-        "Time at which the door was first open by 80°; null if never.",
-        lambda r: _first(r, r["door_angle_rad"] >= OPENED),
+    "min_clearance_m": lambda r: clearance(r, mobile=True),
+    "contacts": lambda r: int(r.of("in_contact").sum()),
+    "arm_min_clearance_m": lambda r: clearance(r, mobile=False),
+    "arm_contacts": lambda r: int(r.of("arm_in_contact").sum()),
+    "floor_contacts": lambda r: int(r.of("floor_contact").sum()),
+    "ee_error_max_m": lambda r: largest(r.of("ee_error")),
+    "ee_error_final_m": lambda r: r.of("ee_error")[-1].item(),
+    "base_displacement_m": lambda r: float(np.hypot(*_moves(r)[-1, :2])),
+    "base_path_m": path,
+    "base_path_after_release_m": _path_after_release,
+    "base_speed_final_mps": lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
+    "base_yaw_rad": lambda r: float(_moves(r)[-1, 2]),
+    "activation_max": lambda r: largest(r.of("activation")),
+    "base_acceleration_jump_max": lambda r: jumps(r, "base_acceleration"),
+    "base_acceleration_sign_changes": lambda r: _base_sign_changes(r, "base_acceleration"),
+    "avoidance_acceleration_jump_max": lambda r: jumps(r, "avoidance_acceleration"),
+    "avoidance_acceleration_sign_changes": lambda r: _base_sign_changes(
+        r, "avoidance_acceleration"
     ),
-    "door_min_distance_m": Figure(
-        "Smallest distance between base and door.", lambda r: float(_door_distance(r).min())
-    ),
-    "door_contacts": Figure(
-        "Steps in which the base touched the door.", lambda r: int(r["door_contact"].sum())
-    ),
-    "first_door_contact_s": Figure(
-        "Time of the first contact of the base with the door; null if never.",
-        lambda r: _first(r, r["door_contact"] > 0),
-    ),
-    "door_met_base_s": Figure(
-        "Time of the first contact or overlap of the base with the door; null if never.",
-        lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
-    ),
-    "radial_error_at_5s_rad": Figure(
-        "Error of the estimated radial direction after 5 s; null in a shorter run.", _radial_error
-    ),
-    "base_back_off_s": Figure(
-        "Time at which the base is first 10 mm from its start; null if never.",
-        lambda r: _first(r, np.hypot(*_moves(r)[:, :2].T) >= _BACKED_OFF),
-    ),
+    "torque_jump_max_nm": lambda r: largest(np.abs(np.diff(r.of("u_a"), axis=0))),
+    "torque_rate_sign_changes": lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
+    "hand_force_max_n": lambda r: largest(_force(r)),
+    "hand_force_clear_max_n": _clear_force,
+    "force_bound_min_n": lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
+    "hand_speed_max_mps": lambda r: largest(r.of("ee_speed")),
+    "joint_speed_share_max": _joint_speed_share,
+    "joint_speed_share_unsaturated_max": _unsaturated_speed_share,
+    "clear_since_s": _clear_since,
+    "approach_speed_max_mps": lambda r: r.buffer.approach_speed_max,
+    "buffer_needed_m": lambda r: _finite(r.buffer.needed_max),
+    "solver_failures": lambda r: int(r.of("solver_failures")[-1]),
+    "solver_given_up": lambda r: int(r.of("given_up")[-1]),
+    "stuck": lambda r: r.meta.stuck,
+    "left_way": lambda r: r.meta.left_way,
+    "fault_s": lambda r: r.meta.faults,
+    "step_p50_us": lambda r: _percentile(r, 50),
+    "step_p99_us": lambda r: _percentile(r, 99),
 }
+
+_OF_DOOR: dict[str, Callable[[Trace], Any]] = {
+    "door_angle_final_rad": lambda r: float(r["door_angle_rad"][-1]),
+    "door_opened_80deg_at_s": lambda r: _first(r, r["door_angle_rad"] >= OPENED),
+    "door_min_distance_m": lambda r: float(_door_distance(r).min()),
+    "door_contacts": lambda r: int(r["door_contact"].sum()),
+    "first_door_contact_s": lambda r: _first(r, r["door_contact"] > 0),
+    "door_met_base_s": lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
+    "radial_error_at_5s_rad": lambda r: next(
+        iter(r["radial_error_rad"][r.t >= _ESTIMATE_AT].tolist()), None
+    ),
+    "base_back_off_s": lambda r: _first(r, np.hypot(*_moves(r)[:, :2].T) >= _BACKED_OFF),
+}
+
+
+def _figures(functions: dict[str, Callable[[Trace], Any]]) -> dict[str, Figure]:
+    """Figures by their keys, with the description that `_ABOUT` has for each key."""
+    rows = re.findall(r"^(\w+): (.+(?:\n .+)*)", _ABOUT, re.MULTILINE)
+    about = {key: " ".join(text.split()) for key, text in rows}
+    return {key: Figure(about[key], of) for key, of in functions.items()}
+
+
+FIGURES = _figures(_OF_RUN)
+"""Figures of every run, by their keys."""
+DOOR = _figures(_OF_DOOR)
 """Figures of the opening of a door."""
 
 

@@ -47,8 +47,8 @@ from app.strict import Array
 _D_B_STEP = 0.005  # [m] step of a changing d_b after which the border is drawn again
 EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop and in logs
 
-_DOOR = TypeAdapter(Door)
-_WXYZ = [3, 0, 1, 2]  # pinocchio's order of a quaternion is x, y, z, w
+_door_of = lru_cache(maxsize=64)(TypeAdapter(Door).validate_json)
+_door_text = lru_cache(maxsize=64)(lambda door: json.dumps(asdict(door)))
 
 
 class PairReading(NamedTuple):
@@ -145,34 +145,30 @@ def _pairs() -> Quantity:
 
 def _acting() -> Quantity:
     """Make the quantity `acting`, which is empty while the base's rows are not active."""
-    vectors = (("p_n", "m"), ("p_t", "m"), ("p_act", "m"), ("f", "n"))
+    vectors = ("p_n", "m"), ("p_t", "m"), ("p_act", "m"), ("f", "n")
     templates = [f"{vector}_{{mobile}}_{{xyz}}_{unit}" for vector, unit in vectors]
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
 
     def take(session: Session, step: Step) -> tuple[ActingReading, ...]:
-        found, w, place = [], step.control, session.state.to_world
+        found, w, state = [], step.control, session.state
         for i in range(w.n_mob):
             if w.B[0] > 0.0 and not np.isnan(w.p_act[i, 0]):
-                force = session.state.R_world_base @ w.f[i]
-                vectors = place(w.p_n[i]), place(w.p_t[i]), place(w.p_act[i]), force
-                found.append(ActingReading(w.pairs[i].name, *map(frozen, vectors)))
+                points = map(state.to_world, (w.p_n[i], w.p_t[i], w.p_act[i]))
+                vectors = map(frozen, (*points, state.R_world_base @ w.f[i]))
+                found.append(ActingReading(w.pairs[i].name, *vectors))
         return tuple(found)
 
     def cells(acting: Sequence[ActingReading], meta: TraceMeta) -> Sequence[Cell]:
-        points = {name: points for name, *points in acting}
-        nothing = np.full((4, 3), NAN)
+        points, nothing = {name: points for name, *points in acting}, np.full((4, 3), NAN)
         groups = [points.get(pair, nothing) for pair in meta.mobile_pairs]
         return np.swapaxes(groups, 0, 1).ravel().tolist()
 
     def value(cells: Sequence[float], meta: TraceMeta) -> tuple[ActingReading, ...]:
-        groups = np.swapaxes(np.reshape(cells, (4, -1, 3)), 0, 1)
-        return tuple(
-            ActingReading(name, *map(frozen, points))
-            for name, points in zip(meta.mobile_pairs, groups, strict=True)
-            if not np.isnan(points).all()
-        )
+        groups = zip(meta.mobile_pairs, np.reshape(cells, (4, -1, 3)).swapaxes(0, 1), strict=True)
+        found = ((name, *map(frozen, each)) for name, each in groups if not np.isnan(each).all())
+        return tuple(map(ActingReading._make, found))
 
     return Quantity(columns, cells, value, take)
 
@@ -180,11 +176,8 @@ def _acting() -> Quantity:
 def _buffer() -> Quantity:
     """Make the quantity `buffer`: approach speeds, the d_b that they require, and two flags."""
     numbers = "approach_speed_mps buffer_needed_m approach_speed_max_mps buffer_needed_max_m"
-    flags = "buffer_too_small buffer_too_small_ever"
-    columns = [
-        *(Column(name, often=True) for name in numbers.split()),
-        *(Column(name, "bool", often=True) for name in flags.split()),
-    ]
+    columns = [Column(name, often=True) for name in numbers.split()]
+    columns += [Column(f"buffer_too_small{ever}", "bool", often=True) for ever in ("", "_ever")]
     return Quantity(
         lambda _: columns,
         lambda buffer, _: buffer,
@@ -196,16 +189,10 @@ def _buffer() -> Quantity:
 
 def _door() -> Quantity:
     """Make the quantity `door`: its geometry as JSON (empty without a door), and its numbers."""
-    names = [f"door_force_{axis}_n" for axis in "xyz"]
-    names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
-    columns = (
-        Column("door", "text"),
-        *(Column(name, "float", True, True) for name in names),
-        Column("door_contact", "bool", True, True),
-    )
-
-    def take(_: Session, step: Step) -> DoorView | None:
-        return step.door and step.door._replace(force=frozen(step.door.force))
+    forces = [f"door_force_{axis}_n" for axis in "xyz"]
+    names = ["door_angle_rad", *forces, "radial_force_n", "radial_error_rad"]
+    numbers = (Column(name, "float", True, True) for name in names)
+    columns = (Column("door", "text"), *numbers, Column("door_contact", "bool", True, True))
 
     def cells(view: DoorView | None, _: TraceMeta) -> Sequence[Cell]:
         text, numbers = (_door_text(view.door), view.numbers) if view else ("", NO_DOOR)
@@ -216,6 +203,9 @@ def _door() -> Quantity:
         if not text:
             return None
         return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
+
+    def take(_: Session, step: Step) -> DoorView | None:
+        return step.door and step.door._replace(force=frozen(step.door.force))
 
     return Quantity(lambda _: columns, cells, value, take, paths=("door_numbers",))
 
@@ -283,7 +273,7 @@ class Snapshot:
     p_ee: Annotated[Array, number("p_ee_{xyz}_m", "state.p_ee")]
     """(3,) [m] position of the end-effector in the world."""
     wxyz_ee: Annotated[
-        Array, drawn("q_ee_{wxyz}", lambda s, o: pin.Quaternion(s.state.R_ee).coeffs()[_WXYZ])
+        Array, drawn("q_ee_{wxyz}", lambda s, o: np.roll(pin.Quaternion(s.state.R_ee).coeffs(), 1))
     ]
     """(4,) orientation of the end-effector in the world as a unit quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
@@ -436,13 +426,3 @@ def make_snapshot(
 def _frozen_pull(pull: PullReading) -> PullReading:
     who, link, *vectors = pull
     return PullReading(who, link, *map(frozen, vectors))
-
-
-@lru_cache(maxsize=64)
-def _door_text(door: Door) -> str:
-    return json.dumps(asdict(door))
-
-
-@lru_cache(maxsize=64)
-def _door_of(text: str) -> Door:
-    return _DOOR.validate_json(text)

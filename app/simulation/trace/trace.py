@@ -11,14 +11,12 @@ from dataclasses import replace
 from functools import lru_cache
 from itertools import compress, takewhile
 from operator import attrgetter
-from struct import Struct
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from typing_extensions import Self
 
 from app.control.buffer_watch import BufferReading
-from app.control.tasks import Reference
 from app.errors import LogError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -27,16 +25,6 @@ from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import NAN, Column, Take, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
 from app.strict import Array
-
-Reason = Literal[
-    "still moving",
-    "joint limits",
-    "joint speeds",
-    "links too near",
-    "border against end-effector",
-    "full stretch",
-    "unknown",
-]
 
 SNAPSHOTS_STORED = 3000  # 60 s at 50 Hz
 _UNPACKED = 1050  # [-] number of the newest snapshots that are objects; plots show 20 s
@@ -67,11 +55,10 @@ class Trace:
         self.columns: list[Column] = []  # columns of the table, in order
         self._slices: dict[str, slice | int] = {}
         for name in names:
-            often = [column for column in QUANTITIES[name].columns(meta) if column.often]
-            begin, end = len(self.columns), len(self.columns) + len(often)
-            if often:
+            begin = len(self.columns)
+            self.columns += [each for each in QUANTITIES[name].columns(meta) if each.often]
+            if (end := len(self.columns)) > begin:
                 self._slices[name] = begin if QUANTITIES[name].single else slice(begin, end)
-            self.columns += often
         self.index = {column.name: k for k, column in enumerate(self.columns)}  # places by names
 
     @property
@@ -90,16 +77,14 @@ class Trace:
         pairs = {pair.name: pair.mobile for pair in first.pairs}
         about = {"scenario": first.scenario, "physics": first.physics, "seed": first.seed}
         meta = TraceMeta.of(model, pairs, first.config, **about)
-        columns = columns_of(meta)
-        rows, last = [], -math.inf
+        often, last = [column.often for column in columns_of(meta)], -math.inf
         for s in snapshots:
             if not s.t > last:
                 raise LogError(f"a snapshot at {s.t:g} s follows one at {last:g} s")
             if tuple(pair.name for pair in s.pairs) != meta.pairs:
                 raise LogError(f"at {s.t:g} s the link pairs differ from the link pairs of the log")
             last = s.t
-            cells = zip(columns, cells_of(s, meta), strict=True)
-            rows.append([float(cell) for column, cell in cells if column.often])
+        rows = [[float(x) for x in compress(cells_of(s, meta), often)] for s in snapshots]
         return cls(meta, np.array(rows), snapshots)
 
     def __len__(self) -> int:
@@ -194,10 +179,9 @@ class Recorder:
         if len(session.loop.reported) > len(self._faults):
             self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
         seldom = round(step.t / DT) % EVERY == 0
-        computed = [f(session, step) for f in self._computed] if seldom else self._nothing
-        control: Any = step.control.memory.take(self._places)
-        numbers = self._packed(*self._numbers(step), *computed)
-        self._rows += b"".join((control, *self._arrays(step), numbers))
+        computed = [take(session, step) if seldom else NAN for take in self._computed]
+        values = (*self._recorded(step), *computed)
+        self._rows += b"".join([np.asarray(value, dtype=float).tobytes() for value in values])
         if seldom and self._drawn:
             led = self._scenario
             about = {"scenario": led.name, "scenario_ends": led.duration} if led else {}
@@ -208,41 +192,29 @@ class Recorder:
         assert self._meta is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
-        stuck, left, farthest = find_stuck(session.model, step), None, self._farthest
-        if farthest is not None and farthest.reference is not None:
-            left = _off_target(session.model, farthest, farthest.reference)
+        stuck, farthest = find_stuck(session.model, step), self._farthest
+        left = farthest and _off_target(session.model, farthest)
         results = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
-        results["faults"] = self._faults
-        meta = self._meta.model_copy(update=results)
+        meta = self._meta.model_copy(update=results | {"faults": self._faults})
         rows = np.frombuffer(self._rows).reshape(-1, len(self._order))
-        table = rows.take(self._order, axis=1)
-        return Trace(meta, table, self.snapshots)
+        return Trace(meta, rows.take(self._order, axis=1), self.snapshots)
 
     def _begin(self, session: Session, step: Step) -> None:
-        """Prepare the rows: arrays of `ControlStep`, other arrays, numbers, computed numbers."""
+        """Prepare the rows: the attributes of steps, then the computed numbers."""
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
         scenario = self._scenario.name if self._scenario else ""
         about = {"scenario": scenario, "physics": session.kind, "seed": session.seed}
         self._meta = TraceMeta.of(session.model, pairs, session.config, **about)
-        own = {f"control.{name}": places for name, places in step.control.places.items()}
-        paths, kinds = (list[str](), list[str](), list[str]()), list[int]()
-        self._computed = list[Take]()
+        paths, self._computed, is_computed = list[str](), list[Take](), list[bool]()
         for quantity in QUANTITIES.values():
-            for path in quantity.paths:
-                value = attrgetter(path)(step)
-                kind = 0 if path in own else 1 if isinstance(value, np.ndarray) else 2
-                paths[kind].append(path)
-                kinds += [kind] * np.size(value)
-            often = any(column.often for column in quantity.columns(self._meta))
+            often = [column for column in quantity.columns(self._meta) if column.often]
+            is_computed += [not quantity.paths] * len(often)
+            paths += quantity.paths
             if often and not quantity.paths and quantity.take is not None:
                 self._computed.append(quantity.take)
-                kinds.append(3)
-        self._places = np.concatenate([own[path] for path in paths[0]])
-        self._arrays, self._numbers = attrgetter(*paths[1]), attrgetter(*paths[2])
-        self._packed = Struct(f"{kinds.count(2) + kinds.count(3)}d").pack
-        self._nothing = [NAN] * kinds.count(3)
-        self._order = np.argsort(np.argsort(kinds, kind="stable"))
+        self._recorded = attrgetter(*paths)
+        self._order = np.argsort(np.argsort(is_computed, kind="stable"))
 
 
 class Stored:
@@ -291,13 +263,12 @@ class History:
     def add(self, snapshot: Snapshot) -> None:
         """Append a snapshot, which replaces the newest one if both have the same time.
 
-        A snapshot of another run, or of an earlier time, replaces all. Other threads read the
-        history meanwhile, so it is never empty after the first snapshot.
+        A snapshot of another run, or of an earlier time, replaces all.
         """
         newest, stored = self._latest, Stored(snapshot)
-        if newest is not None and not snapshot.follows(newest):
+        if newest is None or not snapshot.follows(newest):  # other threads see no empty history
             self._stored = deque([stored], self._stored.maxlen)
-        elif newest is not None and snapshot.t == newest.t:
+        elif snapshot.t == newest.t:
             self._stored[-1] = stored
         else:
             self._stored.append(stored)
@@ -328,28 +299,22 @@ class Stuck(NamedTuple):
     ee_error_m: float  # [m] distance of the end-effector from its target
     ee_m: tuple[float, ...]  # (3,) [m] position of the end-effector, in the world
     target_m: tuple[float, ...]  # (3,) [m] target, in the world
-    reasons: tuple[Reason, ...]  # all reasons that apply, or "unknown"
+    reasons: tuple[str, ...]  # all reasons that apply, or "unknown"
     joints: tuple[str, ...]  # names of the joints at their position limits
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
     """The end-effector's state if it is more than 1 mm away from a resting reference, or None."""
-    reference = step.reference
-    if reference is None or step.ee_error <= SHORT:
+    if (reference := step.reference) is None or step.ee_error <= SHORT:
         return None
-    if max(np.abs(reference.velocity).max(), np.abs(reference.acceleration).max()) > _RESTING:
-        return None
-    return _off_target(model, step, reference)
+    rates = np.abs((reference.velocity, reference.acceleration))
+    return None if rates.max() > _RESTING else _off_target(model, step)
 
 
-def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
-    """Where the end-effector is in a step, and all reasons why it is not at its target.
-
-    "links too near": rows of T_sca for pairs within the arm, which precede the end-effector's task,
-    are active. "border against end-effector": the avoidance moves the base, and thus the
-    end-effector, away from the target.
-    """
-    state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
+def _off_target(model: RobotModel, step: Step) -> Stuck:
+    """Where the end-effector is in a step with a reference, and why it is not at its target."""
+    state, n_b, q_m, reference = RobotState(model), model.n_b, step.truth.q_m, step.reference
+    assert reference is not None
     state.update(step.truth)
     ee, target = state.T_world_ee.translation, reference.pose.translation
     towards = (target - ee) / np.linalg.norm(target - ee)
@@ -357,16 +322,17 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     at_limit = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
     joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
     w, speeds = step.control, np.abs(step.truth.qd_m) / model.qd_max
-    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ w.base_avoidance)
+    in_arm = w.B[n_b:][: len(w.pairs) - w.n_mob]  # rows of T_sca, before the end-effector's task
+    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ w.base_avoidance)  # with the base
     smallest_singular = np.linalg.svd(state.J_ee[:, n_b:], compute_uv=False)[-1]
-    found: dict[Reason, bool] = {
+    found = {
         "still moving": bool(state.v_ee[:3] @ towards > _MOVING),
         "joint limits": bool(joints),
         "joint speeds": bool((speeds > _AT_SPEED).any()),
-        "links too near": bool((w.B[n_b:][: len(w.pairs) - w.n_mob] > 0.0).any()),
+        "links too near": bool((in_arm > 0.0).any()),
         "border against end-effector": bool(pushed @ towards < -_PUSHED),
         "full stretch": bool(smallest_singular < _STRETCHED),
     }
-    reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
+    reasons = tuple(compress(found, found.values())) or ("unknown",)
     places = tuple(ee.tolist()), tuple(target.tolist())
-    return Stuck(step.t, step.ee_error, *places, reasons or ("unknown",), joints)
+    return Stuck(step.t, step.ee_error, *places, reasons, joints)

@@ -57,11 +57,10 @@ def millimetres(distance: float) -> str:
 
 
 def number_text(value: Any, none: str = "–") -> str:
-    """A result as text, also a list or dictionary of results; `none` is the text for None.
+    """A result, or a list or dictionary of results, as text; `none` is the text for None.
 
-    A float that is not finite counts as None. The text of another float has three significant
-    digits, but at most six decimals; from a magnitude of 100 on, it is an integer. Magnitudes below
-    5e-7 are rounding errors and become 0.
+    A float that is not finite counts as None. Another float has three significant digits, but at
+    most six decimals; from a magnitude of 100 on it is an integer, and below 5e-7 it is 0.
     """
     if isinstance(value, dict):
         texts = (f"{name} {number_text(each, none)}" for name, each in value.items())

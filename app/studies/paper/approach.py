@@ -21,7 +21,6 @@ from app.studies.paper.experiments import Sources
 
 _TRACKED = {"dbb": paper.TRACKING, "repulsive": paper.TRACKING_REPULSIVE}
 DIRECTIONS = paper.GUIDING["dbb"]
-
 _TIMES = (0.0, 10.0, 20.0, 30.0)  # [s] times of the snapshots of tracking
 _SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] times of the snapshots of guiding, as shares of the run
 _VIEWS = {"lateral": (0.85, 0.45), "front": (0.70, 0.45)}  # [rad] yaw and pitch of the camera
@@ -36,6 +35,7 @@ _COLOURS: dict[str, Rgba] = {
     BODY: (0.83, 0.20, 0.62, 1.0),  # magenta
     "other bodies": (0.36, 0.62, 0.80, 1.0),
 }
+_ACCELERATIONS = ("linear_mps2", "angular_radps2")
 _OF_DOOR = (
     "door_min_distance_m",
     "door_contacts",
@@ -59,8 +59,8 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     for name, e in _TRACKED.items():
         look = _TIMES, _VIEWS["lateral"], e.aim()
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], sources.runs[e], *look))
-    shown, aim = (strips, "controller", _MOTION), "target and desired motion"
-    return drawing.snapshot_drawing(sources.model, *shown, aim=aim)
+    text = "target and desired motion"
+    return drawing.snapshot_drawing(sources.model, strips, "controller", text, _MOTION)
 
 
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
@@ -69,27 +69,26 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     method is inserted continuously with top priority. (b) The repulsive method has a position
     error, the proposed method has none.
     """
-    distances = [f"d_{pair}_m" for pair in _PAIRS]
-    parts = sources.columns(_TRACKED, "t_s", *distances, "ee_error_m")
+    distances = {pair: f"d_{pair}_m" for pair in _PAIRS}
+    parts = sources.columns(_TRACKED, "t_s", *distances.values(), "ee_error_m")
     table = drawing.stacked(parts, "controller")
     figure, grid = style.new_panels(6.4, 2, 2, sharex=True)
     grid[0][0].sharey(grid[0][1])
-    for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True), start=1):
+    for ax, letter, (pair, column) in zip(grid[0], ("a1", "a2"), distances.items(), strict=True):
         drawing.method_lines(ax, parts, column)
-        _distance_panel(ax, sources, f"a{k}", style.PAIR_NAMES[_PAIRS[k - 1]])
-    shown = np.concatenate([table[column] for column in distances])
+        _distance_panel(ax, sources, letter, style.PAIR_NAMES[pair])
+    shown = np.concatenate([table[column] for column in distances.values()])
     grid[0][0].set_ylim(min(0.0, float(shown.min())), 1.1 * float(shown.max()))
-    error, detail = grid[1]
     texts = "norm of the position error", "the same on a logarithmic scale"
-    for k, (ax, text) in enumerate(zip(grid[1], texts, strict=True), start=1):
+    for ax, letter, text in zip(grid[1], ("b1", "b2"), texts, strict=True):
         drawing.method_lines(ax, parts, "ee_error_m")
         ax.set_ylabel("position error [m]")
-        style.panel_title(ax, f"b{k}", text)
+        style.panel_title(ax, letter, text)
+        ax.set(xlim=(0.0, paper.TRACKING.scenario.duration), xlabel="time [s]")
+    error, detail = grid[1]
     error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 does not touch the axis
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
-    for ax in grid[1]:
-        style.time_axis(ax, paper.TRACKING.scenario.duration)
     grid[0][0].legend(loc="lower left")
     remark = (
         "The task of the repulsive method prescribes all three components of the closest point's "
@@ -111,8 +110,8 @@ def figure_13(sources: Sources) -> drawing.Drawing:
         times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[name], e.aim()))
-    shown, aim = (strips, "direction", _MOTION), "guiding direction and its end"
-    return drawing.snapshot_drawing(sources.model, *shown, aim=aim)
+    text = "guiding direction and its end"
+    return drawing.snapshot_drawing(sources.model, strips, "direction", text, _MOTION)
 
 
 @style.picture("fig14", "Figure 14: distances and activation while guiding", *DIRECTIONS.values())
@@ -131,7 +130,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
             activation.plot(part["t_s"], part[f"beta_{pair}"], **line)
         _distance_panel(distance, sources, f"a{k + 1}", f"distances, {name} direction")
         style.panel_title(activation, f"b{k + 1}", f"activation, {name} direction")
-        style.time_axis(activation, DIRECTIONS[name].scenario.duration)
+        activation.set(xlim=(0.0, DIRECTIONS[name].scenario.duration), xlabel="time [s]")
     grid[0][1].set_ylabel("")
     grid[0][0].set_ylim(0.0, None)
     grid[1][0].set(ylabel=r"activation $\beta$ [–]", ylim=(-0.02, 1.02))
@@ -156,13 +155,13 @@ def figure_15(sources: Sources) -> drawing.Drawing:
     }
     tables = {name: _avoidance_columns(*run) for name, run in runs.items()}
     figure, grid = style.new_panels(6.2, 2, 2, sharex="col", sharey="row")
-    for k, name in enumerate(DIRECTIONS):
+    for k, (name, experiment) in enumerate(DIRECTIONS.items()):
         parts = {method: tables[f"{name}, {method}"] for method in reversed(paper.GUIDING)}
-        for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
-            unit = "mps2" if kind == "linear" else "radps2"
-            drawing.method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
+        for ax, letter, column in zip(grid[:, k], "ab", _ACCELERATIONS, strict=True):
+            drawing.method_lines(ax, parts, column, linewidth=1.6)
+            kind = column.partition("_")[0]
             style.panel_title(ax, f"{letter}{k + 1}", f"{kind}, {name} direction")
-        style.time_axis(grid[1][k], DIRECTIONS[name].scenario.duration)
+        grid[1][k].set(xlim=(0.0, experiment.scenario.duration), xlabel="time [s]")
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
     _legend_below(figure, grid[0][0])
@@ -183,20 +182,16 @@ def _smoothness(run: RunResult, method: str) -> dict[str, object]:
     """The results of a run on the smoothness of base accelerations and torques, by their keys."""
     # The repulsive method has no base acceleration of avoidance.
     kinds = ("base",) if method == "repulsive" else ("avoidance", "base")
-    changes = ("acceleration_jump_max", "acceleration_sign_changes")
+    changes = "acceleration_jump_max", "acceleration_sign_changes"
     keys = [f"{kind}_{change}" for kind in kinds for change in changes]
-    keys += ["torque_jump_max_nm", "torque_rate_sign_changes"]
-    return {key: run.figures[key] for key in keys}
+    return {k: run.figures[k] for k in (*keys, "torque_jump_max_nm", "torque_rate_sign_changes")}
 
 
 def _avoidance_columns(run: RunResult, method: str) -> drawing.Table:
     """Base acceleration of avoidance; for the repulsive method, the commanded base acceleration."""
     kind = "base" if method == "repulsive" else "avoidance"
-    return {
-        "t_s": run.trace["t_s"],
-        "linear_mps2": run.trace[f"{kind}_a_mps2"],
-        "angular_radps2": run.trace[f"{kind}_aw_radps2"],
-    }
+    names = "t_s", f"{kind}_a_mps2", f"{kind}_aw_radps2"
+    return dict(zip(("t_s", *_ACCELERATIONS), (run.trace[name] for name in names), strict=True))
 
 
 def _distance_panel(ax: Axes, sources: Sources, letter: str, title: str) -> None:
@@ -230,13 +225,8 @@ def figure_16(sources: Sources) -> drawing.Drawing:
             style.panel_title(ax, letter, text)
     body = door.superquadric(pin.SE3.Identity())
     sides = zip(("thickness", "width", "height"), door.size, body.semi_axes_m, strict=True)
-    measured = {
-        "door_width_m": door.width,
-        "hinge": door.hinge,
-        "hinge_friction_nm": door.friction,
-        "exponent_e1": body.e1,
-        "exponent_e2": body.e2,
-    }
+    measured = {"door_width_m": door.width, "hinge": door.hinge, "hinge_friction_nm": door.friction}
+    measured |= {"exponent_e1": body.e1, "exponent_e2": body.e2}
     table = drawing.table_of(("axis", "door_m", "semi_axis_m"), sides)
     remark = "The CSV has the door's sides and the semi-axes of its hyper-ellipsoid."
     return drawing.Drawing(figure, {"": table}, measured, [remark])
@@ -252,8 +242,8 @@ def figure_17(sources: Sources) -> drawing.Drawing:
         run = sources.runs[experiment]
         look = {"solids": partial(refrigerator, run), "marks": arc(run)}
         strips.append(drawing.Strip(name, style.METHOD_NAMES[name], run, _DOOR_TIMES, view, **look))
-    shown = "controller", _OF_DOOR, "door_angle_rad"
-    return drawing.snapshot_drawing(sources.model, strips, *shown, marks="arc of the door's edge")
+    shown = "controller", "arc of the door's edge", _OF_DOOR, "door_angle_rad"
+    return drawing.snapshot_drawing(sources.model, strips, *shown)
 
 
 @style.picture("fig18", "Figure 18: distance of the door and activation", *_DOORS.values())
@@ -266,7 +256,7 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     figure, (distance, activation) = style.new_panels(3.6, 1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         drawing.method_lines(ax, dict(reversed(parts.items())), column)
-        style.time_axis(ax, paper.DOOR.scenario.duration)
+        ax.set(xlim=(0.0, paper.DOOR.scenario.duration), xlabel="time [s]")
     _distance_panel(distance, sources, "a", "distance between door and base")
     style.level(distance, 0.0, "contact")
     activation.set_ylabel(r"activation $\beta$ [–]")

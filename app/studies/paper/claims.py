@@ -62,31 +62,21 @@ class Finding(NamedTuple):
     limits: tuple[Threshold, ...] = ()
 
 
-def compare(
-    text: str,
-    key: str,
-    value: float | None,
-    *,
-    low: Threshold | None = None,
-    high: Threshold | None = None,
-) -> Finding:
-    """Compare a number with one or two bounds; a missing or infinite number violates them.
-
-    The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
-    """
-    limits = tuple(limit for limit in (low, high) if limit)
-    bounds = f"at {'least' if low else 'most'} {limits[0]}"
+def compare(text: str, key: str, value: float | None, **bounds: Threshold) -> Finding:
+    """Compare a number with `low`, `high` or both; a missing or infinite number violates them."""
+    low, high, limits = bounds.get("low"), bounds.get("high"), tuple(bounds.values())
+    required = f"at {'least' if low else 'most'} {limits[0]}"
     if low and high:
-        bounds = f"{low.value:g} to {high}"
+        required = f"{low.value:g} to {high}"
     if value is None or not np.isfinite(value):
-        return Finding(f"{text}: never (required: {bounds})", False, {key: None}, limits)
+        return Finding(f"{text}: never (required: {required})", False, {key: None}, limits)
     holds = (not low or value >= low.value) and (not high or value <= high.value)
-    number = f"{value:.3g} {limits[0].unit}".strip()
-    text = f"{text} {number} (required: {bounds})"
+    text = f"{text} {value:.3g} {limits[0].unit}".strip() + f" (required: {required})"
     return Finding(text, bool(holds), {key: float(value)}, limits)
 
 
 Findings = Iterable[Finding]  # a claim holds if all of its findings hold
+Measure = Callable[..., Findings]
 
 
 class Claim(NamedTuple):
@@ -96,7 +86,7 @@ class Claim(NamedTuple):
     figure: str  # name of the figure with which `dbb reproduce` judges the claim
     paper: str  # the claim in this project's words
     needs: tuple[Experiment, ...]
-    measure: Callable[..., Findings]  # of the sources, and of the run of each needed experiment
+    measure: Measure  # of the sources, and of the run of each needed experiment
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """Measure the claim; return its entry in `metrics.json`."""
@@ -113,9 +103,7 @@ class Claim(NamedTuple):
         }
 
 
-def claim(
-    section: str, figure: str, *needs: Experiment
-) -> Callable[[Callable[..., Findings]], Claim]:
+def claim(section: str, figure: str, *needs: Experiment) -> Callable[[Measure], Claim]:
     """Decorator that makes a `Claim`: a function measures it, and the docstring is its text."""
     return lambda measure: Claim(section, figure, docstring_of(measure), needs, measure)
 
@@ -322,18 +310,11 @@ def trade_off(s: Sources, _: RunResult) -> Findings:
         f"{n} points: {1e3 * j:.0f} mm, {c:.0f} µs"
         for n, j, c in zip(count, jump, cost, strict=True)
     )
-    yield Finding(
-        f"largest jump and median time of a search: {text}; jump on the surface: "
-        f"{1e3 * surface:.0f} mm",
-        jump[-1] < jump[0] and cost[-1] > cost[0],
-        {
-            "jump_sparse_m": jump[0],
-            "jump_dense_m": jump[-1],
-            "find_sparse_us": cost[0],
-            "find_dense_us": cost[-1],
-            "jump_surface_m": surface,
-        },
-    )
+    text = f"largest jump and median time of a search: {text}; jump on the surface: "
+    values = {"jump_sparse_m": jump[0], "jump_dense_m": jump[-1], "find_sparse_us": cost[0]}
+    values |= {"find_dense_us": cost[-1], "jump_surface_m": surface}
+    holds = jump[-1] < jump[0] and cost[-1] > cost[0]
+    yield Finding(f"{text}{1e3 * surface:.0f} mm", holds, values)
 
 
 @claim("4.3", "density")

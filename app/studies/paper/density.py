@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,15 +19,12 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import GUIDING, LATERAL, Sources
 
 PAPERS_COUNT = 50_000  # [-] points of a border that the paper recommends
-COUNTS = (5_000, 10_000, 20_000, PAPERS_COUNT)
-"""Numbers of points of the thinned borders; the full border is added at the end."""
 FINER = 10  # [-] refinement of the path, which distinguishes a jump from a motion
 LONGEST = 4.0  # [s] longest path for the comparison of points and surface
 _COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
-_MIN_CHANGE = 1e-9  # [m] smallest drawn step, because the axis is logarithmic
-_MARGIN = 0.03  # [m] margin around the paths, seen from above
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
+Points = TypeVar("Points", Border, Cloud)
 
 
 @style.picture("density", "§4.3: density of the border", LATERAL)
@@ -67,7 +64,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
 def trade_off(sources: Sources) -> drawing.Table:
     """Results of `jump_and_cost` for each number of points and, last, for the surface."""
     path, whole = path_in_buffer(sources), len(sources.border)
-    counts = [n for n in COUNTS if n < whole] + [whole]
+    counts = [n for n in (5_000, 10_000, 20_000, PAPERS_COUNT) if n < whole] + [whole]
     finders = [("points", n, sources.finder(thinned(sources.border, n))) for n in counts]
     finders.append(("surface", whole, sources.finder()))
     rows = [(kind, n, *jump_and_cost(sources, finder, path)) for kind, n, finder in finders]
@@ -80,26 +77,18 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
     experiment = GUIDING["points"]["lateral"]
     clouds = {}
     for pair in sources.data.pairs.mobile:
+        cloud = sources.data.clouds[pair.name]
         share = min(1.0, PAPERS_COUNT / len(sources.border_of(pair)))
-        clouds[pair.name] = thinned_cloud(sources.data.clouds[pair.name], share)
+        clouds[pair.name] = thinned(cloud, round(share * len(cloud)))
     data = replace(sources.data, clouds=clouds)
     return run_from_spec(experiment, sources.model, data).figures
 
 
-def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
-    """A fixed random choice of a `share` [-] of a cloud's points."""
-    chosen = _chosen(len(cloud), round(share * len(cloud)))
-    return replace(cloud, points=cloud.points[chosen], distances=cloud.distances[chosen])
-
-
-def thinned(border: Border, count: int) -> Border:
-    """A border with `count` of its points, a fixed random choice."""
-    chosen = _chosen(len(border), count)
-    return replace(border, points=border.points[chosen])
-
-
-def _chosen(total: int, count: int) -> Array:
-    return np.sort(np.random.default_rng(0).choice(total, count, replace=False))
+def thinned(whole: Points, count: int) -> Points:
+    """A border or cloud with `count` of its points, a fixed random choice."""
+    chosen = np.sort(np.random.default_rng(0).choice(len(whole), count, replace=False))
+    arrays = {name: x for name, x in vars(whole).items() if isinstance(x, Array)}
+    return replace(whole, **{name: x[chosen] for name, x in arrays.items()})
 
 
 def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
@@ -115,14 +104,12 @@ def jump_and_cost(
     sources: Sources, finder: ActingPointFinder, path: list[ClosestPoints]
 ) -> tuple[float, float, float]:
     """Largest and 99th percentile step [m] of p_act along a path; median time [µs] of a search."""
-    points, times = [], []
+    found, times = [], []
     for closest in path:
         begin = perf_counter()
-        acting = finder.find_acting_point(closest.p_b, closest.d, sources.config.force)
+        found.append(finder.find_acting_point(closest.p_b, closest.d, sources.config.force))
         times.append(perf_counter() - begin)
-        if acting is not None:
-            points.append(acting.p_act)
-    jumps = step_sizes(np.array(points))
+    jumps = step_sizes(np.array([acting.p_act for acting in found if acting is not None]))
     return float(jumps.max()), float(np.percentile(jumps, 99)), 1e6 * float(np.median(times))
 
 
@@ -141,23 +128,22 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     figure, (plan, steps) = style.new_panels(4.6, 1, 2, width_ratios=(1, 1.35))
     style.panel_title(plan, "", "the acting point from above")
     style.panel_title(steps, "", "motion of the acting point in each control step")
-    for kind, along in found.items():
-        mark = "." if kind == "points" else "-"
+    for (kind, along), mark in zip(found.items(), ".-", strict=True):
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
-        place = along["p_act_x_m"], along["p_act_y_m"]
-        plan.plot(*place, mark, markersize=4, linewidth=2.2, **look)
-        change = np.maximum(along["p_act_step_m"][1:], _MIN_CHANGE)
+        x, y = along["p_act_x_m"], along["p_act_y_m"]
+        plan.plot(x, y, mark, markersize=4, linewidth=2.2, **look)
+        change = np.maximum(along["p_act_step_m"][1:], 1e-9)  # the axis is logarithmic
         steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
     drawing.base_in_plan(plan, sources.model)
-    line: dict[str, Any] = {"color": style.PAIR_COLOURS["lm-lEE"], "linestyle": (0, (3, 2))}
-    line |= {"linewidth": 1.6, "label": "closest point of the end-effector"}
+    text = "closest point of the end-effector"
+    line = {"linestyle": (0, (3, 2)), "linewidth": 1.6, "label": text}
     smooth = found["surface"]
-    plan.plot(smooth["p_b_x_m"], smooth["p_b_y_m"], **line)
+    plan.plot(smooth["p_b_x_m"], smooth["p_b_y_m"], color=style.PAIR_COLOURS["lm-lEE"], **line)
     x, y = (np.concatenate([smooth[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
-    drawing.square_around(plan, np.column_stack([x, y]), _MARGIN)
+    drawing.square_around(plan, np.column_stack([x, y]), 0.03)
     plan.legend(loc="upper right", fontsize=9)
     steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]", yscale="log")
-    steps.set_xlim(float(coarse[0][0]), float(coarse[0][-1]))
+    steps.set_xlim(*coarse[0][[0, -1]])
     steps.legend(loc="lower right", fontsize=9)
     return drawing.Drawing(
         figure,
@@ -184,11 +170,8 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
     stays = np.ma.clump_unmasked(np.ma.masked_array(run.t, outside))
     begin, end = max((run.t[stay] for stay in stays), key=len)[[0, -1]]
     t = np.arange(begin, min(end, begin + LONGEST), dt)
-    recorded = sources.closest_points(run.of("q_m"))
-    d, p_a, p_b, n = (
-        CubicSpline(run.t, [getattr(closest, name) for closest in recorded])(t)
-        for name in ("d", "p_a", "p_b", "n")
-    )
+    recorded, names = sources.closest_points(run.of("q_m")), ("d", "p_a", "p_b", "n")
+    d, p_a, p_b, n = (CubicSpline(run.t, [getattr(c, x) for c in recorded])(t) for x in names)
     n /= np.linalg.norm(n, axis=1)[:, None]
     rows = zip(d, p_a, p_b, n, p_b, strict=True)
     return t, [ClosestPoints(sources.pair, *row) for row in rows]
@@ -197,10 +180,7 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table by times t (N,) [s]: p_b, p_act, ẍ_m of (16), and the last step of p_act.
-
-    The step is the distance from p_act of the row before, NaN in the first row.
-    """
+    """A table by times t (N,) [s]: p_b, p_act, step of p_act from the last row, ẍ_m of (16)."""
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]
@@ -231,7 +211,6 @@ def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) 
         for key, column in ((linear, "base_a_mps2"), (angular, "base_aw_radps2")):
             sizes[key] = float(np.abs(np.diff(along[column])).max())
         result[kind] = sizes
-    points, surface = result["points"], result["surface"]
-    ratios = {"linear_ratio": points[linear] / surface[linear]}
-    ratios["angular_ratio"] = points[angular] / surface[angular]
+    over = {key: result["points"][key] / result["surface"][key] for key in (linear, angular)}
+    ratios = {"linear_ratio": over[linear], "angular_ratio": over[angular]}
     return {**result, "points_over_surface": ratios}

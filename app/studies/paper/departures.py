@@ -18,18 +18,7 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import AS_PRINTED, LATERAL, PAST_BASE, TRACKING, Sources
 
 _STATES = 40  # [-] number of postures of the lateral guiding
-_ENTERS = 1e-9  # [-] β of a newly inserted row
-_SMALLEST = 1e-9  # smallest drawn number, because the axis is logarithmic
-_FAR = 1.0  # [m] distance of an unreachable target
 _LINE, _HALVINGS = 100, 20  # [-] number of postures on a line, and of halvings of a step
-
-Solver = Callable[[ControlStep, Array, TaskConfig], Array]
-"""A function that computes q̈ (n,) from a control step, the diagonal of B (k,) [-] and the gains."""
-_OF_RUNS = (
-    ("(29) base as commanded", "ee_error_max_m", AS_PRINTED[0], TRACKING),
-    ("(29) the base's rows fix its motion", "ee_error_final_m", AS_PRINTED[1], PAST_BASE),
-)
-"""Departure, key of the compared result, and the runs of the printed form and of the form here."""
 
 
 @style.picture(
@@ -42,13 +31,16 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
     reference q̈_2*. According to the paper, its control input is continuous.
     """
     rows = list(_of_states(sources))
-    for place, key, *pair in _OF_RUNS:
+    for place, key, *pair in (
+        ("(29) base as commanded", "ee_error_max_m", AS_PRINTED[0], TRACKING),
+        ("(29) the base's rows fix its motion", "ee_error_final_m", AS_PRINTED[1], PAST_BASE),
+    ):
         rows.append((place, key, *(sources.runs[run].figures[key] for run in pair)))
     table = drawing.table_of(("departure", "number", "printed", "here"), rows)
     figure, ax = style.new_panels(4.2)
     places = np.arange(len(rows))[::-1]
     for column, name, above in (("printed", "hqp", 0.2), ("here", "dbb", -0.2)):
-        values = np.maximum(table[column].astype(float), _SMALLEST)
+        values = np.maximum(table[column].astype(float), 1e-9)  # the axis is logarithmic
         colour, label = style.METHOD_COLOURS[name], style.METHOD_NAMES[name]
         ax.barh(places + above, values, 0.36, color=colour, label=label)
     ax.set(xscale="log", yticks=places, yticklabels=[f"{place}\n{key}" for place, key, *_ in rows])
@@ -89,19 +81,11 @@ def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
     return np.concatenate([qdd_b, qdd_a])
 
 
-SOLVERS: tuple[Solver, ...] = (printed, here)
-
-
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
     """The diagonal of B (k,): `base` in the base's rows, `link` for the `pair` of L_m^c, else 0."""
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
     return B
-
-
-def nearest_pair(w: ControlStep) -> int:
-    """Index of the nearest pair within the arm, in L_m^c."""
-    return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
@@ -119,17 +103,17 @@ def _of_states(sources: Sources) -> Iterator[tuple[Any, ...]]:
     enters, left = [], []
     for q_m in postures(sources):
         w = step_at_rest(controller, q_m)
-        pair = nearest_pair(w)
-        absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, _ENTERS))
-        changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
+        pair = int(np.argmin(w.d[w.n_mob : len(w.pairs)]))  # the nearest pair of L_m^c
+        absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, 1e-9))
+        changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in (printed, here)]
         enters.append([float(np.abs(w.M[w.n_b :] @ change).max()) for change in changes])  # [N m]
         w, n_b = step_at_rest(controller, q_m, 0.001), w.n_b
         inserted = here(w, np.zeros(len(w.B)), gains)[n_b:]
         change = inserted - np.linalg.solve(w.H[n_b:, n_b:], -w.c[n_b:])
         left.append([left_as_printed(w, gains), float(np.linalg.norm(change))])
-    w = step_at_rest(controller, postures(sources)[0], _FAR)
+    w = step_at_rest(controller, postures(sources)[0], 1.0)
     demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
-    jumps = [jump(sources, controller, solve) for solve in SOLVERS]
+    jumps = [jump(sources, controller, solve) for solve in (printed, here)]
     yield "(26) strict levels", "jump_radps2", *jumps
     yield "(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *demands
     yield "(29) reference on the left", "off_at_zero_radps2", *np.max(left, axis=0).tolist()
@@ -143,7 +127,7 @@ def postures(sources: Sources) -> list[Array]:
     return list(sources.runs[LATERAL].trace.of("q_m")[chosen])
 
 
-def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
+def jump(sources: Sources, controller: Controller, solve: Callable[..., Array]) -> float:
     """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
     The base's rows and the row of one pair within the arm are fully active, although this pair is
@@ -152,7 +136,8 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
-    pair = nearest_pair(step_at_rest(controller, first))
+    w = step_at_rest(controller, first)
+    pair = int(np.argmin(w.d[w.n_mob : len(w.pairs)]))  # the nearest pair of L_m^c
 
     def at(share: float) -> Array:
         w = step_at_rest(controller, first + share * (last - first))

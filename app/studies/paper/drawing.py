@@ -1,10 +1,9 @@
 """The figures of the paper: their files, and parts that several figures have in common."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -26,21 +25,18 @@ from app.system import write_whole
 
 Table = dict[str, Array]
 """The data of a figure: columns of equal length, whose names end in the unit."""
-
 _COLUMNS = 4  # [-] number of snapshots in a row
 _PIXELS = 460, 420  # width and height of a snapshot
 _TALL = 1.35  # [m] height of the visible part of objects; higher parts may be outside the picture
 _GRID, _AROUND = 0.25, 2.0  # [m] spacing of the lines on the floor, half of their length
-_CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
 
 
-@dataclass(frozen=True)
-class Drawing:
+class Drawing(NamedTuple):
     """A reproduced figure of the paper."""
 
     figure: Figure
     tables: dict[str, Table]  # the plotted data, by the suffix of the CSV file's name or ""
-    measured: dict[str, Any] = field(default_factory=dict)
+    measured: Mapping[str, Any]
     """Measured numbers by key, or one such mapping for each case; keys end in the unit."""
     remarks: Sequence[str] = ()
 
@@ -86,16 +82,11 @@ def base_corners(model: RobotModel) -> Array:
     return trimesh.bounds.corners([[*body.lower[:2], 0.0], body.upper])
 
 
-def plan_axes(ax: Axes) -> None:
-    """Label axes that show the base's frame from above, with equal scales."""
-    ax.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
-
-
 def base_in_plan(ax: Axes, model: RobotModel) -> None:
     """Draw the base and its wheel axis from above, in the base's frame."""
     ax.add_patch(Polygon(base_corners(model)[:4, :2], facecolor="#EEF1F4", edgecolor=style.SOFT))
     ax.axvline(0.0, color=style.SOFT, linewidth=1.0, linestyle=(0, (1, 2)), zorder=1)
-    plan_axes(ax)
+    ax.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
 
 
 def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:
@@ -110,19 +101,15 @@ def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0)
 
 
 def framed(
-    camera: Camera,
-    meshes: Iterable[trimesh.Trimesh],
-    points: Iterable[Array] = (),
-    tallest: float = np.inf,
+    camera: Camera, meshes: list[trimesh.Trimesh], points: Iterable[Array] = (), top: float = np.inf
 ) -> Camera:
-    """The camera, moved to show meshes and points, (N, 3) each, up to the height `tallest` [m]."""
+    """The camera, moved to show meshes and points, (N, 3) each, up to the height `top` [m]."""
     shown = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
-    shown[:, 2] = np.minimum(shown[:, 2], tallest)
+    shown[:, 2] = np.minimum(shown[:, 2], top)
     return camera._replace(target=shown.mean(axis=0)).framing(shown, 0.05)
 
 
-@dataclass(frozen=True)
-class Strip:
+class Strip(NamedTuple):
     """A row of snapshots of one run, with the paths of base and end-effector."""
 
     name: str  # name of the run in the CSV file
@@ -143,18 +130,12 @@ class Strip:
 
 
 def snapshot_drawing(
-    model: RobotModel,
-    strips: Sequence[Strip],
-    kind: str,
-    results: Sequence[str],
-    *columns: str,
-    aim: str = "",
-    marks: str = "",
+    model: RobotModel, strips: list[Strip], kind: str, text: str, keys: Sequence[str], *columns: str
 ) -> Drawing:
-    """A drawing with four snapshots of each strip, a table of `Strip.paths`, and some results.
+    """A drawing with four snapshots of each strip, a table of `Strip.paths`, and results by `keys`.
 
     The table has the names of the strips in the column `kind`, and also `columns` of the traces.
-    `aim` and `marks` are the legend's texts for `Strip.aim` and `Strip.marks`, if any.
+    `text` is the legend's text for `Strip.marks` or, if the strips have none, for `Strip.aim`.
     """
     height = len(strips) * (style.WIDTH / _COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)
@@ -165,19 +146,18 @@ def snapshot_drawing(
             part.suptitle(f"({letter}) {strip.text}", x=0.01, ha="left", weight="bold")
             for ax, t in zip(part.subplots(1, _COLUMNS), strip.times, strict=True):
                 _panel(ax, model, strip, cameras[strip.view], photographer, t)
-    keys = [
+    dots: dict[str, Any] = {"color": style.TARGET, "linestyle": ":"}
+    last = style.marker_style(style.TARGET) if strips[0].marks is None else dots
+    handles = [
         Line2D([], [], color=style.SOFT, linestyle="--", label="start of the base"),
         Line2D([], [], color=style.PATH, label="path of the base's centre"),
         Line2D([], [], color=style.EE, label="path of the end-effector"),
+        Line2D([], [], label=text, **last),
     ]
-    if aim:
-        keys.append(Line2D([], [], label=aim, **style.marker_style(style.TARGET)))
-    if marks:
-        keys.append(Line2D([], [], color=style.TARGET, linestyle=":", label=marks))
-    place = {"loc": "outside lower center", "ncols": len(keys), "handlelength": 2.2}
-    figure.legend(handles=keys, fontsize=10, **place)
+    place = {"loc": "outside lower center", "ncols": len(handles), "handlelength": 2.2}
+    figure.legend(handles=handles, fontsize=10, **place)
     paths = {strip.name: strip.paths(*columns) for strip in strips}
-    measured = {strip.name: {key: strip.run.figures[key] for key in results} for strip in strips}
+    measured = {strip.name: {key: strip.run.figures[key] for key in keys} for strip in strips}
     return Drawing(figure, {"": stacked(paths, kind)}, measured)
 
 
@@ -207,8 +187,9 @@ def _panel(
     if strip.marks is not None:
         _on_floor(ax, picture, strip.marks, color=style.TARGET, linewidth=1.6, linestyle=":")
     centre = np.column_stack([poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
+    casing = [patheffects.withStroke(linewidth=3.6, foreground="white")]
     for points, colour in ((centre, style.PATH), (run.of("p_ee")[past], style.EE)):
-        line = {"color": colour, "linewidth": 2.2, "path_effects": _CASING, "zorder": 4}
+        line = {"color": colour, "linewidth": 2.2, "path_effects": casing, "zorder": 4}
         ax.plot(*picture.pixels(points).T, **line)
     ax.plot(*picture.pixels(centre[-1:]).T, **style.marker_style(style.PATH, size=5))
     if strip.aim is not None:

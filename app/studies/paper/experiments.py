@@ -11,8 +11,8 @@ from typing_extensions import Self
 from app.avoidance.acting_point import ActingPoint, ActingPointFinder, avoidance_force
 from app.border.cache import BorderData, load_border_data
 from app.border.dbb import Border, construct_dbb
-from app.border.nearest import BorderSearch
-from app.border.offset import OffsetContours, offset_contours
+from app.border.nearest import OffsetContours, border_struct
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
 from app.config import Config, ForceConfig
 from app.jobs.pool import Workers
@@ -31,8 +31,6 @@ ROBOT = "husky_panda"  # the paper's robot
 
 class Experiment(RunSpec):
     """A run of the paper's robot, as `dbb run` makes it."""
-
-    __slots__ = ()
 
     @classmethod
     def of(cls, scenario: str, controller: str, **line: Point) -> Self:
@@ -78,7 +76,6 @@ AS_PRINTED = tuple(e._replace(controller="hqp") for e in (TRACKING, PAST_BASE, L
 """Runs of the controller as printed in the paper."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
-
 Runs = dict[Experiment, RunResult]
 Named = dict[str, Experiment]
 
@@ -120,15 +117,12 @@ class Sources:
     def finder(self, border: Border | None = None) -> ActingPointFinder:
         """Algorithm 3 for the end-effector on a border of points or, by default, on the surface."""
         points = [] if border is None else [border]
-        return ActingPointFinder(BorderSearch(self.offset.table, points), self.field)
+        return ActingPointFinder(border_struct(self.offset, points), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
-        """Acting point and force (3,) [N] in the base's frame; `force` defaults to `config.force`.
-
-        `closest` are closest points in the base's frame.
-        """
+        """Acting point and force (3,) [N], in the base's frame; `force` replaces `config.force`."""
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
         assert acting is not None  # the paper's robot has a border at every height in the buffer

@@ -24,7 +24,6 @@ from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sourc
 
 TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4})
 """Parameters with which the step size α is always 0.4 m, the largest valid bound."""
-
 _ZOOM = 0.30  # [m] smallest side of the square around the points of Algorithm 3
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 _SHOWN = 12_000  # [-] largest number of points in a picture; more points would hide each other
@@ -43,19 +42,16 @@ def figure_3(sources: Sources) -> drawing.Drawing:
     measured: dict[str, Any] = {"buffer_distance_m": config.d_b, "tolerance_m": config.eps}
     figure = style.new_figure(7.6)
     for k, pair in enumerate(sources.data.pairs.mobile, start=1):
-        cloud, border = sources.data.clouds[pair.name], sources.border_of(pair)
-        measured[pair.name] = {"points_P": len(cloud), "points_DBB": len(border)}
-        for kind, letter, points, place, alpha in (
-            ("P", "a", cloud.points_m, k, 0.25),
-            ("DBB", "b", border.points, k + 2, 0.5),
-        ):
+        sets = {"P": sources.data.clouds[pair.name].points_m, "DBB": sources.border_of(pair).points}
+        measured[pair.name] = {f"points_{kind}": len(points) for kind, points in sets.items()}
+        for (kind, points), row, alpha in zip(sets.items(), (0, 1), (0.25, 0.5), strict=True):
             part = drawing.points_table(points[_some(len(points), rng)])
             parts[f"{kind} {pair.name}"] = part
-            ax = figure.add_subplot(2, 2, place, projection="3d")
+            ax = figure.add_subplot(2, 2, 2 * row + k, projection="3d")
             _view(ax, sources.model, next(iter(parts.values())), 1.05)
             _scatter(ax, part, color=style.PAIR_COLOURS[pair.name], alpha=alpha)
             text = rf"$\mathcal{{{kind}}}_i$ of {style.PAIR_NAMES[pair.name]}"
-            style.panel_title(ax, f"{letter}{k}", text)
+            style.panel_title(ax, f"{'ab'[row]}{k}", text)
     remark = f"The picture and the CSV have at most {_SHOWN} points of each set."
     return drawing.Drawing(figure, {"": drawing.stacked(parts, "set")}, measured, [remark])
 
@@ -76,20 +72,19 @@ def figure_5(sources: Sources) -> drawing.Drawing:
     }
     table = drawing.points_table(points) | values
     labels = (r"$\det(J_c J_c^T)$ [m⁴/rad⁴]", r"$\mathcal{R}$ [–]", r"$\mathcal{S}$ [m⁴/rad⁴]")
-    figure = style.new_figure(4.8)
-    for k, (column, label) in enumerate(zip(values, labels, strict=True)):
-        ax = figure.add_subplot(1, 3, k + 1, projection="3d")
+    figure, grid = style.new_panels(4.8, 1, 3, subplot_kw={"projection": "3d"})
+    for ax, letter, (column, value), label in zip(grid, "abc", values.items(), labels, strict=True):
         _view(ax, sources.model, table, 0.9)
-        shown = _scatter(ax, table, c=table[column], cmap=style.SCORE_MAP)
-        style.panel_title(ax, "abc"[k], ("determinant", "reachability", "score")[k])
+        shown = _scatter(ax, table, c=value, cmap=style.SCORE_MAP)
+        style.panel_title(ax, letter, column.partition("_")[0])
         bar = figure.colorbar(shown, ax=ax, label=label, orientation="horizontal", shrink=0.75)
         bar.ax.locator_params(nbins=4)
-    best = points[int(values["score_m4prad4"].argmax())]
+    score = values["score_m4prad4"]
     measured = {
         "points": len(border),
         "determinant_max_m4prad4": float(values["determinant_m4prad4"].max()),
-        "score_max_m4prad4": float(values["score_m4prad4"].max()),
-        "best_point_m": best.tolist(),
+        "score_max_m4prad4": float(score.max()),
+        "best_point_m": points[int(score.argmax())].tolist(),
     }
     return drawing.Drawing(figure, {"": table}, measured)
 
@@ -118,7 +113,7 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     style.panel_title(half, "a", "its left half")
     look: dict[str, Any] = {"cmap": style.SCORE_MAP, "s": 36, "marker": "s", "linewidth": 0}
     shown = cut.scatter(cut_table["x_m"], cut_table["y_m"], c=cut_table["reachability"], **look)
-    drawing.plan_axes(cut)
+    cut.set(aspect="equal", xlabel="x of the base [m]", ylabel="y of the base [m]")
     style.panel_title(cut, "b", "cut at the mount's height")
     figure.colorbar(shown, ax=cut, orientation="horizontal", label="reachability [–]", shrink=0.8)
     profile = radial_profile(reach_map.rho, reach_map.reach)
@@ -130,7 +125,7 @@ def figure_6(sources: Sources) -> drawing.Drawing:
         "fit": fit.at(rho),
         "paper": field.C - field.A * (rho - field.B) ** 2,
     }
-    _draw_fit(curve, fit_table, fit.rho_min_m, fit.rho_max_m)
+    _draw_fit(curve, fit_table, (rho >= fit.rho_min_m) & (rho <= fit.rho_max_m))
     fitted = {key: getattr(fit, key) for key in ("A_per_m2", "B_m", "C", "r_squared", "rms")}
     return drawing.Drawing(
         figure,
@@ -155,13 +150,13 @@ def _smoothed(reach_map: maps.ReachMap) -> Array:
     return values[at] / inside[at]
 
 
-def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:
-    mean, rho = table["reachability_mean"], table["rho_m"]
+def _draw_fit(ax: Any, table: drawing.Table, fitted: Array) -> None:
+    """Draw (9); `fitted` (N,) marks the rows of the table whose distances the fit includes."""
+    mean, rho, colours = table["reachability_mean"], table["rho_m"], style.METHOD_COLOURS
     ax.plot(rho, mean, "o", color="#52606D", markersize=4, label="mean over shells")
-    inside = (rho >= low) & (rho <= high)
-    fitted, printed = style.METHOD_COLOURS["dbb"], style.METHOD_COLOURS["repulsive"]
-    ax.plot(rho[inside], table["fit"][inside], color=fitted, label="fit of (9)")
-    ax.plot(rho, table["paper"], "--", color=printed, label="(9) with the paper's A, B, C")
+    ax.plot(rho[fitted], table["fit"][fitted], color=colours["dbb"], label="fit of (9)")
+    text = "(9) with the paper's A, B, C"
+    ax.plot(rho, table["paper"], "--", color=colours["repulsive"], label=text)
     ax.set(xlabel=r"distance from the mount $\rho$ [m]", ylabel="reachability [–]")
     ax.set(xlim=(0.0, None), ylim=(0.0, 1.25 * float(np.nanmax(mean))))
     ax.legend(fontsize=8, loc="upper right")
@@ -221,14 +216,9 @@ class Force(NamedTuple):
     def measured(self) -> dict[str, float]:
         """Distance, step size α, and magnitudes of the force and of its components."""
         f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
-        return {
-            "distance_m": self.closest.d,
-            "alpha_m": self.acting.alpha,
-            "force_n": f,
-            "force_along_line_n": along,
-            "force_tangential_n": across,
-            "share_along_line": along / max(f, 1e-9),
-        }
+        found = {"distance_m": self.closest.d, "alpha_m": self.acting.alpha, "force_n": f}
+        parts = {"force_along_line_n": along, "force_tangential_n": across}
+        return {**found, **parts, "share_along_line": along / max(f, 1e-9)}
 
 
 def force_at(
@@ -239,11 +229,6 @@ def force_at(
     q_m = run.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
     return Force(float(run.t[k]), q_m, closest, *sources.force(sources.finder(), closest, config))
-
-
-def deepest(sources: Sources) -> int:
-    """Index of the row of the lateral guiding in which the end-effector is nearest to the base."""
-    return int(sources.distances(LATERAL).argmin())
 
 
 def turning(sources: Sources) -> Force:
@@ -299,7 +284,8 @@ def figure_8(sources: Sources) -> drawing.Drawing:
     (b) If the step is too large, the acting point can be so far away that the force has no
     component along the line between the end-effector and the border. Therefore the step is bounded.
     """
-    configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
+    configs = {"chosen": sources.config.force, "too large": TOO_LARGE}
+    k = int(sources.distances(LATERAL).argmin())
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
     table = _slice(sources, found["chosen"])
     figure, grid = style.new_panels(5.4, 1, 2, sharex=True, sharey=True)
@@ -328,8 +314,8 @@ def figure_10(sources: Sources) -> drawing.Drawing:
     ax.plot(table["d_m"], table["beta"], color=style.METHOD_COLOURS["dbb"], linewidth=2.4)
     for at, text in ((d_full, "task fully active"), (d_b, "buffer distance $d_b$")):
         ax.axvline(at, color=style.SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
-        place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "rotation": 90}
-        ax.annotate(text, (at, 0.5), va="center", fontsize=9, color="#616E7C", **place)
+        look: dict[str, Any] = {"va": "center", "fontsize": 9, "color": "#616E7C", "rotation": 90}
+        ax.annotate(text, (at, 0.5), xytext=(4, 0), textcoords="offset points", **look)
     ax.set(xlim=(0.0, 0.2), ylim=(-0.02, 1.05), xlabel="distance of the pair [m]")
     ax.set_ylabel(r"activation $\beta$ [–]")
     slope = 1.5 / rise_length(d_b, d_full)

@@ -16,11 +16,7 @@ from app.studies.runs import write_json
 from app.studies.style import Picture, pictures_in, styled
 from app.system import write_whole
 
-FIGURES = {
-    name: figure
-    for module in (method, approach, density, departures)
-    for name, figure in pictures_in(vars(module)).items()
-}
+FIGURES = pictures_in(vars(method) | vars(approach) | vars(density) | vars(departures))
 """The figures in the order of the paper, by their names."""
 _DRAWING = 5.0  # [s] simulated time whose computation takes about as long as drawing a figure
 
@@ -46,12 +42,7 @@ def work(names: Sequence[str]) -> float:
 
 
 def reproduce(
-    names: Sequence[str],
-    out: Path,
-    *,
-    seed: int = 0,
-    processes: int = 1,
-    on_progress: Callable[[float], None] = lambda _: None,
+    names: Sequence[str], out: Path, seed: int, processes: int, on_progress: Callable[[float], None]
 ) -> dict[str, Any]:
     """Make figures with their data, judge their claims, write all files into an existing folder.
 
@@ -102,10 +93,16 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
         "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "
         "simulation. "
     )
-    parts = [*figures]
-    if claims:
+    parts, rows = [*figures], []
+    for claim in claims:
+        limits = [Threshold(**limit) for limit in claim["limits"]]
+        holds = Cell("✓ holds", mark="yes") if claim["holds"] else Cell("✗ does not", mark="no")
+        measured = Cell(claim["measured"], [f"{limit}: {limit.source}" for limit in limits])
+        rows.append((f"§{claim['section']}", claim["paper"], measured, holds))
+    if rows:
         lead += f"{sum(claim['holds'] for claim in claims)} of {len(claims)} claims hold here. "
-        parts.append(_claims_part(claims))
+        table = Grid(("", "The paper states", "Measured here", "Holds"), rows)
+        parts.append(Part("Claims of the paper", "claims", tables=[table]))
     return page_html("The paper's experiments, reproduced", lead + about, parts)
 
 
@@ -116,14 +113,3 @@ def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Par
     measured = Part("Measured here", tables=grids, points=drawing.remarks, note=names)
     paper = Part("The paper states", text=[figure.caption])
     return Part(figure.title, figure.name, png=files[0].read_bytes(), sides=(paper, measured))
-
-
-def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:
-    rows = []
-    for claim in claims:
-        limits = [Threshold(**limit) for limit in claim["limits"]]
-        holds = Cell("✓ holds", mark="yes") if claim["holds"] else Cell("✗ does not", mark="no")
-        measured = Cell(claim["measured"], [f"{limit}: {limit.source}" for limit in limits])
-        rows.append((f"§{claim['section']}", claim["paper"], measured, holds))
-    head = ("", "The paper states", "Measured here", "Holds")
-    return Part("Claims of the paper", "claims", tables=[Grid(head, rows)])

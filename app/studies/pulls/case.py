@@ -1,7 +1,4 @@
-"""A case of a study: the random draw, the run, and the row of a table with both.
-
-The end-effector starts on a ray from a target point in the base, in any direction of the sphere.
-"""
+"""A case of a study: the random draw, the run, and the row of a table with both."""
 
 import math
 import re
@@ -25,7 +22,7 @@ from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import check_avoidance
 from app.strict import Array
-from app.studies.pulls.parameters import FAULTS, PARAMETERS, Interval, StudyParameters, StudyRange
+from app.studies.pulls.parameters import FAULTS, PARAMETERS, Interval, StudyParameters
 from app.studies.runs import Row, flattened, rounded
 from app.studies.sweep.plan import exit_distance, point_of
 
@@ -53,29 +50,12 @@ SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
 more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
 of the angle from the base's heading, on both sides."""
-
 _TRIES = 600  # [-] largest number of positions that are drawn for a case
-_IN_SECTOR = 60  # [-] number of positions after which the sector is drawn again
-_SEARCHES = 2  # [-] starting points of the search for a posture, for each pitch of the end-effector
-_GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
-_INNER = 0.9  # [-] part of the base's length and width that contains the targets
 _ABOVE, _BELOW = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
 _EDGES = {"front": 30.0, "front corner": 60.0, "side": 120.0}  # [deg] largest angle from the front
-_SAMPLES = 4000  # [-] number of postures from which the reach is measured
-_SIDEWAYS = 0.5  # [-] largest sideways component of the end-effector's direction
-_UPWARDS = 0.26  # [-] largest upward component of this direction: the start solver's 15°
-_QUANTILES = 0.02, 0.98  # [-] quantiles of the end-effector's distance from the shoulder
-_ALONG = 0.15  # [-] probability of a pull along the base
-_ALONG_ANGLE = math.radians(45.0)  # [rad] largest turn of a pull along the base towards the base
 _LOWEST = 0.05  # [m] smallest height of targets in the base, and of ends of pulls along the base
 _LENGTH = 0.15, 0.60  # [m] length of a pull along the base; the upper end also limits other pulls
-_REST = 1.0  # [s] time of the run after the pull, when a collision is still possible
-_PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
-_RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
-_FASTEST = 1.05  # [-] largest tolerated speed of a joint, relative to its limit
-_MAX_FAULTS = 3  # [-] largest number of faults in a case
 _LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
-_FREE = 0.1, 0.9  # [-] time from release to new grasp: range as a share of the time after the pull
 
 
 class StudySources(NamedTuple):
@@ -91,27 +71,39 @@ class StudySources(NamedTuple):
 
 
 class Start(NamedTuple):
-    """The start of a case, in the base's frame."""
+    """The start of a case, on a ray from a point in the base; in the base's frame."""
 
     sector: str  # one of `SECTORS`
     p: Array  # (3,) [m] position of the end-effector
     aim: Array  # (3,) [m] target point inside the base
-
-    @property
-    def outwards(self) -> Array:
-        """(3,) unit vector from the target to the end-effector."""
-        ray = self.p - self.aim
-        return ray / np.linalg.norm(ray)
+    outwards: Array  # (3,) unit vector from the target to the end-effector
 
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`."""
+    """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`.
+
+    `near` and `far` are the quantiles 2 % and 98 % over those of 4000 random postures in which the
+    end-effector points outwards, with a sideways component below 0.5, and at most 15° upwards, as
+    the start solver requires. Without such a posture they are 0 and infinite.
+    """
     model = RobotModel(load_robot(robot))
-    body = MobileBody(model)
-    lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
+    body, data = MobileBody(model), load_border_data(model, progress=False)
     check_avoidance(model, data)
-    return StudySources(model, data, lower, body.upper, *_measure_reach(model))
+    state, rng, distances = RobotState(model), np.random.default_rng(0), []
+    joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
+    state.update(at_rest(model, np.array(model.description.arm.ready_position)))
+    shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
+    for _ in range(4000):
+        state.update(at_rest(model, rng.uniform(model.q_lower, model.q_upper)))
+        p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
+        out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
+        sideways = abs(z[1] * out[0] - z[0] * out[1])
+        if sideways < 0.5 and z[2] < 0.26 and z[:2] @ out > 0:
+            distances.append(np.linalg.norm(p - shoulder))
+    near, far = np.quantile(distances, (0.02, 0.98)) if distances else (0.0, np.inf)
+    lower = np.array([*body.lower[:2], 0.0])
+    return StudySources(model, data, lower, body.upper, shoulder, float(near), float(far))
 
 
 def draw_start(
@@ -126,14 +118,14 @@ def draw_start(
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
     sector = ""
     for redraws in range(_TRIES):
-        if redraws % _IN_SECTOR == 0:
+        if redraws % 60 == 0:  # a sector can be out of reach: draw another one
             sector = SECTORS[rng.integers(len(SECTORS))]
         start, seed = place(sector, sources, rng), int(rng.integers(2**32))
         distance = float(np.linalg.norm(start.p - sources.shoulder))
         high = heights[0] <= start.p[2] <= heights[1]
         if high and sources.near <= distance <= sources.far:
             with suppress(UnreachableError):
-                return start, solver.solve(point_of(start.p), seed=seed, tries=_SEARCHES), redraws
+                return start, solver.solve(point_of(start.p), seed=seed, tries=2), redraws
     raise StudyError(
         f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts with its "
         f"end-effector {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
@@ -144,11 +136,16 @@ def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start
     """Choose a random start of the end-effector in a sector; it can be out of the arm's reach."""
     lower, upper = sources.lower, sources.upper
     middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
-    plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
+    plan = middle + 0.9 * half * rng.uniform(-1, 1, 2)  # in 90 % of the base's length and width
     aim = np.array([*plan, rng.uniform(_LOWEST, float(upper[2]))])
-    outwards = _direction(sector, rng)
-    distance = exit_distance(aim, outwards, lower, upper) + rng.uniform(*_GAP)
-    return Start(sector, aim + distance * outwards, aim)
+    while True:
+        outwards = rng.standard_normal(3)
+        outwards /= np.linalg.norm(outwards)
+        if sector_of(outwards) == sector:
+            break
+    distance = exit_distance(aim, outwards, lower, upper) + rng.uniform(0.22, 0.50)  # [m]
+    p = aim + distance * outwards
+    return Start(sector, p, aim, (p - aim) / np.linalg.norm(p - aim))
 
 
 def sector_of(direction: Array) -> str:
@@ -162,44 +159,13 @@ def sector_of(direction: Array) -> str:
     return next((name for name, edge in _EDGES.items() if azimuth < math.radians(edge)), "back")
 
 
-def _direction(sector: str, rng: np.random.Generator) -> Array:
-    """Draw a unit vector (3,) with a uniform distribution in a sector of the sphere."""
-    while True:
-        v = rng.standard_normal(3)
-        v /= np.linalg.norm(v)
-        if sector_of(v) == sector:
-            return v
-
-
-def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
-    """The fields `shoulder`, `near` and `far` of `StudySources`.
-
-    The distances are quantiles over random postures in which the end-effector points outwards and
-    not far upwards, as the start solver requires; without such a posture they are 0 and infinite.
-    """
-    state, rng = RobotState(model), np.random.default_rng(0)
-    joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
-    ready = np.array(model.description.arm.ready_position)
-    state.update(at_rest(model, ready))
-    shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
-    distances = []
-    for _ in range(_SAMPLES):
-        q = rng.uniform(model.q_lower, model.q_upper)
-        state.update(at_rest(model, q))
-        p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
-        out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
-        sideways = abs(z[1] * out[0] - z[0] * out[1])
-        if sideways < _SIDEWAYS and z[2] < _UPWARDS and z[:2] @ out > 0:
-            distances.append(np.linalg.norm(p - shoulder))
-    near, far = np.quantile(distances, _QUANTILES) if distances else (0.0, np.inf)
-    return shoulder, float(near), float(far)
-
-
 def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
     """Draw the random quantities of a case, by the columns of the study's table.
 
-    They depend only on the parameters and the number, because a case has its own random streams. If
-    the arm reaches no start in the range of heights, this raises a StudyError.
+    They depend only on the parameters and the number, because a case has its own random streams. A
+    release is after 30 to 100 % of the pull, and a new grasp is before the end of the run. A case
+    has at most three faults; absent faults have the parameters' defaults. If the arm reaches no
+    start in the range of heights, this raises a StudyError.
     """
     rng, others = (
         np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=key))
@@ -209,11 +175,18 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     first = ("speed", *(name for name in PARAMETERS if name not in _LATER))
     drawn: dict[str, Any] = {name: ranges.draw(name, rng) for name in first}
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
-    move, along = _draw_move(start, rng)
-    move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
+    move, along, duration, moving = _draw_pull(start, drawn["speed"], ranges.duration, rng)
+    released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
+    release_at = duration * moving * rng.uniform(0.3, 1.0)
+    regrasp_at = release_at + duration * (1.0 - moving) * rng.uniform(0.1, 0.9)
     drawn |= {"duration": duration, "moving": moving}
-    drawn |= _draw_release(ranges, duration, moving, rng)
-    drawn |= _draw_faults(ranges, duration * moving, others)
+    drawn["release_at"] = release_at if released else None
+    drawn["regrasp_at"] = regrasp_at if released and regrasped else None
+    drawn |= {name: ranges.draw(name, others) for name in _LATER}
+    count = int(others.integers(1, 4)) if others.random() < ranges.faulty else 0
+    for name in others.permutation(list(FAULTS))[count:]:
+        drawn[name] = parameter(PARAMETERS[name]).default
+    drawn["fault_at"] = ranges.draw("fault_at", others) * (duration * moving)
     return {
         "case": number,
         "kind": f"{start.sector}, along" if along else start.sector,
@@ -226,59 +199,28 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     }
 
 
-def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
-    """Draw the displacement (3,) [m] of a pull, and whether the pull is along the base.
-
-    A pull along the base is perpendicular to the line to the target, or turned by up to 45° towards
-    the target, and ends above the floor. Other pulls end at the target or after 0.6 m.
+def _draw_pull(
+    start: Start, speed: float, longest: float, rng: np.random.Generator
+) -> tuple[Array, bool, float, float]:
+    """Draw a pull: its displacement (3,) [m], whether it is along the base, the duration [s] of the
+    run, at most `longest`, and the pull's share of the run. `speed` [m/s] is the largest speed of
+    the hand.
     """
-    length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
-    across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
-    o = start.outwards
-    if not along:
-        move = start.aim - start.p
-        return move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move))), False
-    across -= (across @ o) * o
-    move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
-    move[2] = max(move[2], _LOWEST - start.p[2])
-    return move, True
-
-
-def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """Displacement (3,) [m] of a pull, duration [s] of the run, and the pull's share of it.
-
-    `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s]: if needed,
-    `move` is shortened. The rest after the pull takes 1 s, but at most a quarter of `longest`.
-    """
-    rest = min(_REST, longest / 4)
-    pulling = _PEAK * float(np.linalg.norm(move)) / speed
+    length, along = rng.uniform(*_LENGTH), rng.random() < 0.15
+    across, turn = rng.standard_normal(3), rng.uniform(0, math.radians(45.0))
+    o, move = start.outwards, start.aim - start.p
+    if along:  # perpendicular to the line to the target, turned by `turn` towards the target
+        across -= (across @ o) * o
+        move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
+        move[2] = max(move[2], _LOWEST - start.p[2])
+    else:  # the pull ends at the target, or after 0.6 m
+        move = move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move)))
+    rest = min(1.0, longest / 4)  # [s] collisions are still possible
+    pulling = 1.5 * float(np.linalg.norm(move)) / speed  # the cubic's peak is 1.5 times its mean
     if pulling > longest - rest:
         move = move * ((longest - rest) / pulling)
         pulling = longest - rest
-    return move, pulling + rest, pulling / (pulling + rest)
-
-
-def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
-    """Draw payload, at most three faults, and `fault_at` [s], for a pull of `pulling` [s].
-
-    Absent faults have the parameters' defaults.
-    """
-    drawn = {name: ranges.draw(name, rng) for name in _LATER}
-    count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
-    for name in rng.permutation(list(FAULTS))[count:]:
-        drawn[name] = parameter(PARAMETERS[name]).default
-    return drawn | {"fault_at": ranges.draw("fault_at", rng) * pulling}
-
-
-def _draw_release(
-    ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
-) -> dict[str, float | None]:
-    """Draw the times [s] of release and new grasp; None if the event does not happen."""
-    released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
-    at = duration * moving * rng.uniform(*_RELEASE)
-    again = at + duration * (1.0 - moving) * rng.uniform(*_FREE)
-    regrasp_at = again if released and regrasped else None
-    return {"release_at": at if released else None, "regrasp_at": regrasp_at}
+    return move, along, pulling + rest, pulling / (pulling + rest)
 
 
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
@@ -310,9 +252,9 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     except (DbbError, ValueError, ArithmeticError) as error:
         return stopped(drawn, f"{type(error).__name__}: {error}")
     results = flat(result.figures)
-    nan = not (result.trace.finite and all(map(_finite, results.values())))
-    stored = {key: rounded(value) if _finite(value) else None for key, value in results.items()}
-    return {**drawn, **stored, "nan": nan, "error": None}
+    bad = {key for key, x in results.items() if isinstance(x, float) and not math.isfinite(x)}
+    stored = {key: None if key in bad else rounded(x) for key, x in results.items()}
+    return {**drawn, **stored, "nan": bool(bad) or not result.trace.finite, "error": None}
 
 
 def stopped(drawn: Row, reason: str) -> Row:
@@ -330,16 +272,16 @@ def met_itself(row: Row) -> bool:
     return _met(row, "arm_")
 
 
-def _met(row: Row, prefix: str) -> bool:
-    distance = row.get(f"{prefix}min_clearance_m")
-    return bool(row.get(f"{prefix}contacts")) or (distance is not None and distance <= 0.0)
+def _met(row: Row, of: str) -> bool:
+    distance = row.get(f"{of}min_clearance_m")
+    return bool(row.get(f"{of}contacts")) or (distance is not None and distance <= 0.0)
 
 
 def too_fast(row: Row) -> bool:
     """Whether a joint exceeded 1.05 times its speed limit at a time when no torque was at its limit
     or had been there in the last 0.1 s.
     """
-    return (row.get("joint_speed_share_unsaturated_max") or 0.0) > _FASTEST
+    return (row.get("joint_speed_share_unsaturated_max") or 0.0) > 1.05
 
 
 def entered_buffer(row: Row, d_b: float) -> bool:
@@ -357,7 +299,3 @@ def failed(row: Row) -> bool:
 def flat(results: Mapping[str, Any]) -> Row:
     """The stored results of a run by the columns of a study's table."""
     return flattened({key: value for key, value in results.items() if key not in _NOT_STORED})
-
-
-def _finite(value: object) -> bool:
-    return not isinstance(value, float) or math.isfinite(value)

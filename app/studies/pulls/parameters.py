@@ -4,6 +4,7 @@ import hashlib
 import math
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,7 +16,6 @@ from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
 Interval = tuple[float, float]  # smallest and largest value, which may be equal
-
 FAULTS = {
     "sensor_delay": "lag",
     "sensor_period": "repeated",
@@ -38,19 +38,8 @@ PARAMETERS = {
     **{name: f"disturbance.{name}" for name in FAULTS},
 }
 """Paths of the parameters in the configuration that have random values, by the quantity's name."""
-
 LOGARITHMIC = ("hand_stiffness",)  # quantities whose logarithm is uniformly distributed
-
-_BOUNDS = {
-    "speed": (0.01, 1.5, "m/s"),
-    "height": (0.05, 2.0, "m"),
-    "duration": (0.05, 60.0, "s"),
-    "faulty": (0.0, 1.0, ""),
-    "fault_at": (0.0, 1.0, ""),
-    "released": (0.0, 1.0, ""),
-    "regrasped": (0.0, 1.0, ""),
-}
-"""Valid range and unit of the quantities that are not parameters of the configuration."""
+Probability = Annotated[float, (0.0, 1.0, "")]
 
 
 class StudyRange(Strict):
@@ -58,9 +47,10 @@ class StudyRange(Strict):
 
     The distribution in an interval is uniform, for `LOGARITHMIC` on a logarithmic scale. `height`
     only bounds the random starts. A single number is a probability or, for `duration`, a limit.
+    Annotations have the range and unit of the quantities that are not in `PARAMETERS`.
     """
 
-    speed: Interval = (0.1, 1.2)
+    speed: Annotated[Interval, (0.01, 1.5, "m/s")] = (0.1, 1.2)
     """[m/s] largest speed of the person's hand."""
     base_delay: Interval = (0.0, 0.4)
     """[s] delay from a velocity command to the base's drive."""
@@ -79,7 +69,7 @@ class StudyRange(Strict):
     """[N/m] stiffness of the person's spring."""
     hand_mass: Interval = (0.0, 2.0)
     """[kg] mass of the person's hand and forearm."""
-    height: Interval = (0.12, 0.90)
+    height: Annotated[Interval, (0.05, 2.0, "m")] = (0.12, 0.90)
     """[m] height of the end-effector above the floor at the start."""
     payload: Interval = (0.0, 1.0)
     """[kg] mass of the load at the end-effector that the controller's model includes."""
@@ -95,17 +85,17 @@ class StudyRange(Strict):
     stated_period: Interval = (0.0005, 0.005)
     """[s] control period that the controller assumes in a case with this fault; the true period is
     0.001 s."""
-    faulty: float = 0.5
+    faulty: Probability = 0.5
     """[-] probability that a case has one to three of the faults sensor_delay, sensor_period,
     dropped, unknown_load, stated_period; the other cases have no fault."""
-    fault_at: Interval = (0.0, 0.5)
+    fault_at: Annotated[Interval, (0.0, 1.0, "")] = (0.0, 0.5)
     """[-] time at which the faults begin, as a share of the pull's duration; a wrong stated_period
     acts from the start."""
-    duration: float = 8.0
+    duration: Annotated[float, (0.05, 60.0, "s")] = 8.0
     """[s] largest duration of a run: pull and rest; it limits the distance of a slow pull."""
-    released: float = 0.3
+    released: Probability = 0.3
     """[-] probability that the person releases the end-effector before the end of the pull."""
-    regrasped: float = 0.5
+    regrasped: Probability = 0.5
     """[-] probability that the person grasps the end-effector again after a release."""
 
     @model_validator(mode="after")
@@ -113,12 +103,14 @@ class StudyRange(Strict):
         """Raise a `ConfigError` that names the option of `dbb study` and its valid values."""
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
-            if (bounds := _BOUNDS.get(name)) is None:
+            if name in PARAMETERS:
                 known = parameter(PARAMETERS[name])
-                bounds = known.low, known.high, known.unit
+                low, high, unit = known.low, known.high, known.unit.removeprefix("-")
+            else:
+                ((low, high, unit),) = type(self).model_fields[name].metadata
             ends = value if isinstance(value, tuple) else (value,)
             for end in ends:
-                check_range(option, end, *bounds)
+                check_range(option, end, low, high, unit)
             if ends[0] > ends[-1]:
                 raise ConfigError(f"{option}: LOW {ends[0]:g} is above HIGH {ends[-1]:g}")
         return self

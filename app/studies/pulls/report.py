@@ -37,6 +37,7 @@ _DISTRIBUTED = (
 )
 """Results whose quantiles are in the summary."""
 _QUANTILES = (0.0, 0.01, 0.05, 0.5, 0.95, 1.0)
+Rows = Sequence[Row]
 Events = Mapping[str, Callable[[Row], object]]  # by name: whether a case has the event
 _INCIDENTS: Events = {
     "contact": lambda row: row.get("contacts"),
@@ -59,8 +60,6 @@ _FAULTY: Events = {
 """Outcomes of faulty readings; each of the last two includes only cases of the one before it."""
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
-_MAX_FAILURES = 200  # [-] largest number of rows in the table of failures
-_SOON = 0.2  # [s] largest delay of a timely report after the beginning of a fault
 _COLUMNS = {
     "case": "case",
     "kind": "from",
@@ -86,11 +85,15 @@ _COLUMNS = {
 _LARGEST = 0.3  # [m] end of the axes of distance
 _ERRORS = 1e-5, 1.0  # [m] ends of the axes of errors
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
+_MARKS = {
+    "arm met base": ("x", 44, TARGET),
+    "arm met itself": ("+", 54, "#882E72"),
+    "fallback command, NaN or error": ("^", 34, "#D55E00"),
+}
+"""Marker, size and colour of failed cases, by the first reason that applies to a case."""
 
 
-def summary_of(
-    rows: Sequence[Row], parameters: StudyParameters, d_b: float
-) -> tuple[dict[str, Any], Envelope]:
+def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[Row, Envelope]:
     """The summary of at least one row for `study.json`, and the fitted envelope; `d_b` is in m."""
     stated, fitted = Envelope.stated(), fit.fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
@@ -129,11 +132,10 @@ def summary_of(
     return summary, fitted
 
 
-def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
-    """Count the cases with a fault, those with a report of it, and those with a timely report.
-
-    A fault begins at the control step nearest to `fault_at_s`; `stated_period` begins at 0. Earlier
-    reports do not count. A timely report is at most 0.2 s later.
+def _reported(rows: Rows, name: str) -> dict[str, int]:
+    """Count the cases with a fault, with a report of it, and with a report at most 0.2 s later. A
+    fault begins at the control step nearest to `fault_at_s`, `stated_period` at 0. Earlier reports
+    do not count.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -142,35 +144,32 @@ def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
         for row in faulty
         if row.get(f"fault_{report}_s") is not None
     ]
-    reported, timely = (sum(-DT < each <= last for each in delays) for last in (math.inf, _SOON))
+    reported, timely = (sum(-DT < each <= last for each in delays) for last in (math.inf, 0.2))
     return {"cases": len(faulty), "reported": reported, "within_200_ms": timely}
 
 
-def _of_force(rows: Sequence[Row], low: float, high: float, events: Events) -> dict[str, Any]:
+def _of_force(rows: Rows, low: float, high: float, events: Events) -> dict[str, Any]:
     """Results of the cases whose force (`exerted`) is at least `low` and below `high` [N]."""
     here = [row for row in rows if low <= exerted(row) < high]
-    return {
-        "from_n": low,
-        "to_n": high if math.isfinite(high) else None,
-        **_counts_and_distance(here, events),
-        "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None),
-    }
+    results = {"from_n": low, "to_n": high if math.isfinite(high) else None}
+    results |= _counts_and_distance(here, events)
+    return {**results, "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None)}
 
 
-def _counts_and_distance(rows: Sequence[Row], events: Events) -> dict[str, Any]:
+def _counts_and_distance(rows: Rows, events: Events) -> dict[str, Any]:
     smallest = min(_known(rows, "min_clearance_m"), default=None)
     return {"cases": len(rows), **_counts(rows, events), "least_clearance_m": smallest}
 
 
-def _counts(rows: Sequence[Row], events: Events) -> dict[str, int]:
+def _counts(rows: Rows, events: Events) -> dict[str, int]:
     return {name: sum(bool(happened(row)) for row in rows) for name, happened in events.items()}
 
 
-def _known(rows: Sequence[Row], column: str) -> list[float]:
+def _known(rows: Rows, column: str) -> list[float]:
     return [row[column] for row in rows if row.get(column) is not None]
 
 
-def _quantiles(rows: Sequence[Row], column: str) -> dict[str, float] | None:
+def _quantiles(rows: Rows, column: str) -> dict[str, float] | None:
     if not (values := _known(rows, column)):
         return None
     found = np.quantile(values, _QUANTILES).tolist()
@@ -178,7 +177,7 @@ def _quantiles(rows: Sequence[Row], column: str) -> dict[str, float] | None:
 
 
 @picture("envelope", "Envelope of safety")
-def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
+def draw_envelope(rows: Rows, envelope: Envelope, _: float) -> Figure:
     """Each point is a case; cases that stopped with an error are missing. The blue area is the
     envelope that is fitted to these cases. Its force is at most 0.9 times the smallest force of the
     cases that failed or in which the arm came nearer to the base than 10 mm.
@@ -199,9 +198,10 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
     points = scatter(good, **colours, **look, zorder=4)
     text = "smallest distance, arm to base [m]"
     figure.colorbar(points, ax=axes, extend="max", pad=0.01, label=text)
-    for name, (rule, style) in _MARKS.items():
-        bad = [row for row in known if failed(row) and rule(row)]
-        scatter(bad, zorder=5, label=name, **style)
+    flaws = [0 if met_base(row) else 1 if met_itself(row) else 2 for row in known]
+    for k, (name, (marker, size, colour)) in enumerate(_MARKS.items()):
+        bad = [row for row, flaw in zip(known, flaws, strict=True) if flaw == k and failed(row)]
+        scatter(bad, zorder=5, label=name, marker=marker, s=size, c=colour)
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set(xlabel="speed of the person's hand [m/s]", xlim=(low - 0.02, high + 0.02))
     axes.set_ylabel("largest force before a distance of 10 mm [N]")
@@ -210,39 +210,34 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
 
 
 @picture("clearance", "Smallest distance between arm and base")
-def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figure:
+def draw_clearance(rows: Rows, envelope: Envelope, d_b: float) -> Figure:
     """The smallest true distance between the convex bodies of arm and base in each run. The red
     line is contact, the grey line is d_b. Left: number of cases inside and outside the envelope
     that is fitted to them. Right: each case, by the direction of its start; failed cases are red.
     """
     figure, (left, right) = new_panels(4.2, 1, 2, width_ratios=(3, 2))
-    known = [row for row in rows if row.get("min_clearance_m") is not None]
-    low = min(0.0, *_known(rows, "min_clearance_m"))
+    low = min([0.0, *_known(rows, "min_clearance_m")])
     bins = np.arange(np.floor(low / 0.01) * 0.01, _LARGEST + 0.01, 0.01)
     inside, outside = (
-        [row["min_clearance_m"] for row in known if envelope.holds(row) is held]
+        _known([row for row in rows if envelope.holds(row) is held], "min_clearance_m")
         for held in (True, False)
     )
-    left.hist(
-        [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)],
-        bins=list(bins),
-        stacked=True,
-        color=[_INSIDE, _OUTSIDE],
-        label=[f"inside, {len(inside)}", f"outside, {len(outside)}"],
-    )
+    clipped = [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)]
+    labels = [f"inside, {len(inside)}", f"outside, {len(outside)}"]
+    left.hist(clipped, list(bins), stacked=True, color=[_INSIDE, _OUTSIDE], label=labels)
     left.axvline(0.0, color=TARGET, linewidth=1.2)
     left.axvline(d_b, color=SOFT, linewidth=1.2)
     left.set_xlabel("smallest distance between arm and base [m]; the last bar has no upper limit")
     left.set_ylabel("cases")
     left.legend(title="envelope", loc="upper center")
-    _by_kind(right, rows, "min_clearance_m", (low, _LARGEST))
     right.axvline(0.0, color=TARGET, linewidth=1.2)
+    _by_kind(right, rows, "min_clearance_m", (low, _LARGEST))
     right.set(xlabel="smallest distance [m]", xlim=(low - 0.01, _LARGEST))
     return figure
 
 
 @picture("errors", "Final error of the end-effector")
-def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
+def draw_errors(rows: Rows, *_: object) -> Figure:
     """The distance of the end-effector from its target at the end of each run. If the base cannot
     move away in the direction of a pull, such as down onto the base, the arm resists the pull: the
     end-effector then intentionally ends far from the target.
@@ -257,20 +252,7 @@ def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
     return figure
 
 
-_MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
-    "arm met base": (met_base, {"marker": "x", "s": 44, "c": TARGET}),
-    "arm met itself": (
-        lambda row: met_itself(row) and not met_base(row),
-        {"marker": "+", "s": 54, "c": "#882E72"},
-    ),
-    "fallback command, NaN or error": (
-        lambda row: not met_base(row) and not met_itself(row),
-        {"marker": "^", "s": 34, "c": "#D55E00"},
-    ),
-}
-
-
-def _by_kind(axes: Axes, rows: Sequence[Row], column: str, ends: tuple[float, float]) -> None:
+def _by_kind(axes: Axes, rows: Rows, column: str, ends: tuple[float, float]) -> None:
     """Draw the known values of each kind of cases as a row of points, limited to `ends`."""
     known = [row for row in rows if row.get(column) is not None]
     kinds = sorted({row["kind"] for row in known}, reverse=True)
@@ -289,44 +271,13 @@ PICTURES = pictures_in(globals())
 
 
 def report_html(
-    rows: Sequence[Row],
-    parameters: StudyParameters,
-    summary: Mapping[str, Any],
-    envelope: Envelope,
-    pictures: Mapping[str, bytes],
+    rows: Rows, parameters: StudyParameters, summary: Row, envelope: Envelope, pngs: Mapping
 ) -> str:
     """The HTML of the report, with the results of `summary_of` and a PNG for each of `PICTURES`."""
-    title = f"{summary['cases']:,} random pulls, {parameters.controller}"
-    verdict, forces = outcome(summary)
-    drawn = [Part(p.title, name, [p.caption], pictures[name]) for name, p in PICTURES.items()]
-    parts = [
-        verdict,
-        *drawn,
-        _envelope(envelope),
-        forces,
-        _counted("By the direction of the start", "from", summary["by_kind"]),
-        _counted("Faults and their reports", "fault", summary["faults"]),
-        _failures(rows),
-    ]
-    return page_html(title, _lead(parameters), parts)
-
-
-def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
-    """The results of the cases as a text, and as a table by the exerted force."""
-    forces = {}
-    for counts in summary["by_force"]:
-        low, high = counts["from_n"], counts["to_n"]
-        name = f"from {low:g}" if high is None else f"{low:g} to {high:g}"
-        forces[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
-    table = _counted("By the exerted force", "force before 10 mm [N]", forces)
-    return Part(text=_verdict(summary)), table
-
-
-def _lead(parameters: StudyParameters) -> str:
     drawn = ((name.replace("_", " "), v) for name, v in parameters.ranges if isinstance(v, tuple))
     intervals = ", ".join(f"{name} {_interval(value)}" for name, value in drawn)
     inside = " Only pulls inside the stated envelope were drawn." if parameters.inside else ""
-    return (
+    lead = (
         "A person pulls the end-effector towards the base or along it, from random starts on all "
         f"sides of the base. Robot {parameters.robot}, plant {parameters.physics}, seed "
         f"{parameters.seed}. Ranges in SI units: {intervals}. The distributions are uniform, for "
@@ -336,10 +287,25 @@ def _lead(parameters: StudyParameters) -> str:
         "the probability of a new grasp after a release is "
         f"{_percent(parameters.ranges.regrasped)}.{inside}"
     )
+    verdict, forces = outcome(summary)
+    both = [envelope.model_dump(), Envelope.stated().model_dump()]
+    body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
+    head = ["largest force, intervals [SI units]", "fitted to these cases", "the project states"]
+    parts = [
+        verdict,
+        *(Part(p.title, name, [p.caption], pngs[name]) for name, p in PICTURES.items()),
+        Part("The envelope", tables=[Grid(head, body, numbers=True)]),
+        forces,
+        _counted("By the direction of the start", "from", summary["by_kind"]),
+        _counted("Faults and their reports", "fault", summary["faults"]),
+        _failures(rows),
+    ]
+    return page_html(f"{summary['cases']:,} random pulls, {parameters.controller}", lead, parts)
 
 
-def _verdict(s: Mapping[str, Any]) -> list[str]:
-    distance, halves = s["min_clearance_m"], s["envelope"]["inside_by_halves"]
+def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
+    """The results of the cases as a text, and as a table by the exerted force."""
+    s, halves = summary, summary["envelope"]["inside_by_halves"]
     lines = [
         f"{s['failed']} of {s['cases']} cases failed. In {s['contact']} runs the arm touched the "
         f"base in the plant. In {s['bodies_overlap']} runs it touched the base, or the convex "
@@ -348,21 +314,18 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
         f"convex bodies met. {s['solver_failure']} runs had steps with the fallback command, "
         f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error."
     ]
-    if s["hand_force_max_n"]:
-        weakest, median, strongest = _texts(s["hand_force_max_n"], "0_%", "50_%", "100_%")
-        (speed,) = _texts(s["hand_speed_max_mps"], "100_%")
-        lines.append(
-            f"The largest force of the person in a run was {weakest} to {strongest} N (median "
-            f"{median} N). The largest speed of the end-effector was {speed} m/s. In "
-            f"{_percent(s['entered_buffer_share'])} of the runs the arm entered the buffer of the "
-            "base."
-        )
-    if distance:
-        smallest, few, half = _texts(distance, "0_%", "5_%", "50_%")
-        lines.append(
-            f"The smallest distance between arm and base was {smallest} m. It was at least "
-            f"{half} m in half of the runs, and at least {few} m in 95 of 100 runs."
-        )
+    quantiles = [s[k] for k in ("hand_force_max_n", "hand_speed_max_mps", "min_clearance_m")]
+    if all(quantiles):
+        force, speed, distance = ({k: number_text(v) for k, v in q.items()} for q in quantiles)
+        lines += [
+            f"The largest force of the person in a run was {force['0_%']} to {force['100_%']} N "
+            f"(median {force['50_%']} N). The largest speed of the end-effector was "
+            f"{speed['100_%']} m/s. In {_percent(s['entered_buffer_share'])} of the runs the arm "
+            "entered the buffer of the base.",
+            f"The smallest distance between arm and base was {distance['0_%']} m. It was at least "
+            f"{distance['50_%']} m in half of the runs, and at least {distance['5_%']} m in 95 of "
+            "100 runs.",
+        ]
     lines.append(
         f"Of {halves['cases']} cases inside an envelope that was fitted to other cases, "
         f"{halves['failed']} failed: the failure rate is below "
@@ -378,18 +341,13 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
         if inside["cases"]
         else "No case is inside the envelope that the project states."
     )
-    return lines
-
-
-def _texts(quantiles: Mapping[str, float], *names: str) -> list[str]:
-    return [number_text(quantiles[name]) for name in names]
-
-
-def _envelope(fitted: Envelope) -> Part:
-    both = [fitted.model_dump(), Envelope.stated().model_dump()]
-    body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
-    head = ["largest force, intervals [SI units]", "fitted to these cases", "the project states"]
-    return Part("The envelope", tables=[Grid(head, body, numbers=True)])
+    forces = {}
+    for counts in summary["by_force"]:
+        low, high = counts["from_n"], counts["to_n"]
+        name = f"from {low:g}" if high is None else f"{low:g} to {high:g}"
+        forces[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
+    table = _counted("By the exerted force", "force before 10 mm [N]", forces)
+    return Part(text=lines), table
 
 
 def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
@@ -399,20 +357,19 @@ def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> 
     return Part(title, tables=[Grid(head, body, numbers=True)])
 
 
-def _failures(rows: Sequence[Row]) -> Part:
+def _failures(rows: Rows) -> Part:
+    """The table of failed cases, at most the 200 with the smallest forces."""
     bad = sorted(filter(failed, rows), key=exerted)
     if not bad:
         return Part("Failures", text=["No case failed."])
-    body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
-    cut = len(bad) > _MAX_FAILURES
-    more = f" The table has {_MAX_FAILURES} of {len(bad)} failures." if cut else ""
+    body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:200]]
+    more = f" The table has {len(body)} of {len(bad)} failures." if len(bad) > len(body) else ""
     text = (
         f"The failures with the smallest forces are first.{more} "
         "`dbb run --case failures/case-NNNNN.json` repeats a case; `dbb serve --case` with the "
         "same file shows it in the dashboard."
     )
-    grid = Grid(list(_COLUMNS.values()), body, numbers=True)
-    return Part("Failures", text=[text], tables=[grid])
+    return Part("Failures", text=[text], tables=[Grid([*_COLUMNS.values()], body, numbers=True)])
 
 
 def _interval(value: Any) -> str:

@@ -1,19 +1,13 @@
-"""A study: it runs the missing cases, and writes table, failures, summary, envelope and report.
-
-A journal stores the result of each case during the study. The cases run in processes of this
-machine, or on the workers of a running dask scheduler.
-"""
-
-from __future__ import annotations
+"""A study: it runs the missing cases, and writes table, failures, summary, envelope and report."""
 
 import json
 import logging
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 from app.errors import StudyError
 from app.jobs.bounded import SMALL
@@ -27,13 +21,10 @@ from app.studies.pulls.parameters import StudyParameters, code_digest
 from app.studies.runs import Row, write_json, write_rows
 from app.system import claim, write_whole
 
-if TYPE_CHECKING:
-    from distributed import Client
-
+Task = Callable[..., Any]
 _AT_ONCE = 1000  # number of cases that are sent to the workers together, to limit the memory
-_LINES, _HEAD = "cases.jsonl", "parameters.json"
 _PATIENCE = 10.0  # [s] timeout of the connection to a scheduler
-_WORKERS_PATIENCE = 30.0  # [s] time to wait for the scheduler's first worker
+_LINES, _HEAD = "cases.jsonl", "parameters.json"
 
 
 def study(
@@ -85,10 +76,11 @@ def _rows(
     load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
     run, lost = (partial(function, parameters) for function in (_row, _lost_row))
-    workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
-    with workers:
+    pool: Any = _client(scheduler) if scheduler else Workers(load, min(processes, len(todo)))
+    run_all = partial(_map, pool, load) if scheduler else pool.map
+    with pool:
         for begin in range(0, len(todo), _AT_ONCE):
-            yield from workers.map(run, todo[begin : begin + _AT_ONCE], lost=lost)
+            yield from run_all(run, todo[begin : begin + _AT_ONCE], lost=lost)
 
 
 def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -> Row:
@@ -103,6 +95,7 @@ def _lost_row(parameters: StudyParameters, number: int) -> Row:
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
+    """Write all files of a study, and return the content of `study.json`."""
     from app.studies.pulls.report import PICTURES, report_html, summary_of
     from app.studies.style import png_of, styled
 
@@ -111,22 +104,7 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     with styled():
         pictures = {n: png_of(each.draw(rows, envelope, d_b)) for n, each in PICTURES.items()}
     write_rows(out / "results.parquet", rows)
-    _write_failures(rows, parameters, out / "failures")
-    for name, png in pictures.items():
-        write_whole(out / f"{name}.png", png)
-    write_whole(out / "report.html", report_html(rows, parameters, summary, envelope, pictures))
-    result = {"parameters": identity_of(parameters), **summary}
-    whole, inside = result["parameters"] | summary, summary["envelope"]
-    source = {n: whole[n] for n in ("seed", "controller", "physics", "code", "cases", "failed")}
-    for name in ("inside", "inside_by_halves"):
-        source |= {f"{name}_{key}": value for key, value in inside[name].items()}
-    write_whole(out / "envelope.toml", as_toml(envelope, source))
-    write_json(out / "study.json", result)
-    return result
-
-
-def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file for `dbb run --case` for each failed case; remove the other files of cases."""
+    folder = out / "failures"
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -138,6 +116,17 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         former.discard(path)
     for path in former:
         path.unlink()
+    for name, png in pictures.items():
+        write_whole(out / f"{name}.png", png)
+    write_whole(out / "report.html", report_html(rows, parameters, summary, envelope, pictures))
+    result = {"parameters": identity_of(parameters), **summary}
+    whole, inside = result["parameters"] | summary, summary["envelope"]
+    source = {n: whole[n] for n in ("seed", "controller", "physics", "code", "cases", "failed")}
+    for name in ("inside", "inside_by_halves"):
+        source |= {f"{name}_{key}": value for key, value in inside[name].items()}
+    write_whole(out / "envelope.toml", as_toml(envelope, source))
+    write_json(out / "study.json", result)
+    return result
 
 
 class Journal(AbstractContextManager["Journal"]):
@@ -152,19 +141,17 @@ class Journal(AbstractContextManager["Journal"]):
         If the folder has another study or damaged data, or is in use, this raises a StudyError.
         """
         self.rows: dict[int, Row] = {}  # by the number of the case
-        self._folder = folder
         self._file = (folder / _LINES).open("a+b")
-        try:
+        with ExitStack() as stack:
+            stack.enter_context(self._file)  # closes it after an error
             if claim(self._file) is False:
                 raise StudyError(
                     f"--out: another dbb study uses {folder}; wait until it ends, or choose "
                     "another folder"
                 )
-            self._claim(identity)
-            self._read()
-        except BaseException:
-            self._file.close()
-            raise
+            _check_identity(folder, identity)
+            self._read(folder / _LINES)
+            stack.pop_all()
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
@@ -178,23 +165,7 @@ class Journal(AbstractContextManager["Journal"]):
         os.fsync(self._file.fileno())
         self.rows[row["case"]] = row
 
-    def _claim(self, identity: dict[str, Any]) -> None:
-        """Write the identity of this study, or check that the folder has the same identity."""
-        path = self._folder / _HEAD
-        if not path.exists():
-            write_json(path, identity)
-            return
-        try:
-            kept = parsed(json.loads, file_text(path))
-        except ValueError:
-            raise StudyError(f"--out: {path} is damaged; choose another folder") from None
-        if kept != identity:
-            raise StudyError(
-                f"--out: {self._folder} has another study ({_difference(kept, identity)}); "
-                "continue that study with its own options, or choose another folder"
-            )
-
-    def _read(self) -> None:
+    def _read(self, path: Path) -> None:
         self._file.seek(0)
         whole = 0
         for number, line in enumerate(iter(partial(self._file.readline, SMALL), b""), start=1):
@@ -206,10 +177,26 @@ class Journal(AbstractContextManager["Journal"]):
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
                 raise StudyError(
-                    f"line {number} of {self._folder / _LINES} is damaged; remove the line, and "
-                    "the case runs again"
+                    f"line {number} of {path} is damaged; remove the line, and the case runs again"
                 ) from None
         self._file.truncate(whole)  # the file is open to append: writing continues at its end
+
+
+def _check_identity(folder: Path, identity: dict[str, Any]) -> None:
+    """Write the identity of a study, or check that the folder has the same identity."""
+    path = folder / _HEAD
+    if not path.exists():
+        write_json(path, identity)
+        return
+    try:
+        stored = parsed(json.loads, file_text(path))
+    except ValueError:
+        raise StudyError(f"--out: {path} is damaged; choose another folder") from None
+    if stored != identity:
+        raise StudyError(
+            f"--out: {folder} has another study ({_difference(stored, identity)}); "
+            "continue that study with its own options, or choose another folder"
+        )
 
 
 def _difference(kept: Any, wanted: dict[str, Any]) -> str:
@@ -228,79 +215,62 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     return "; ".join(filter(None, parts))
 
 
-class Cluster(AbstractContextManager["Cluster"]):
-    """Runs jobs on the workers of a dask scheduler, as `app.jobs.pool.Workers` does in processes.
+def _client(scheduler: str) -> Any:
+    """Connect to the dask scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-    The certificates for `tls://` addresses come from dask's configuration.
+    If it does not answer, or if not all of its workers have the code of this process, this raises a
+    StudyError. The certificates for `tls://` addresses come from dask's configuration.
     """
+    # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
+    from distributed import Client
 
-    def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
-        """Connect to a scheduler at an address, such as `tls://10.0.0.7:8786`.
-
-        Each job calls `make_context`, which must cache the data that the jobs share. If no
-        scheduler answers, or it has no workers with the same code, this raises a StudyError.
-        """
-        # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
-        from distributed import Client
-
-        for name in ("distributed", "tornado"):  # their errors arrive as exceptions
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-        self._make_context = make_context
-        try:
-            self._client = Client(scheduler, timeout=_PATIENCE)
-        except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificate
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise StudyError(
-                f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
-                "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
-            ) from None
-        try:
-            _check_workers(self._client, scheduler)
-        except BaseException:
-            self._client.close()
-            raise
-
-    def __exit__(self, *_: object) -> None:
-        self._client.close()
-
-    def map(
-        self, function: Callable[..., Row], jobs: Sequence[int], *, lost: Callable[[int], Row]
-    ) -> Iterator[Row]:
-        """As `Workers.map`, but yields the results in the order in which the jobs end.
-
-        `lost` makes the result of a job if its worker ended in each attempt.
-        """
-        from distributed import as_completed
-        from distributed.scheduler import KilledWorker
-
-        run = partial(_run, function, self._make_context)
-        jobs_of = dict(zip(self._client.map(run, jobs, pure=False), jobs, strict=True))
-        for future in as_completed(jobs_of):
-            try:
-                result = future.result()
-            except KilledWorker:
-                result = lost(jobs_of[future])
-            yield result
-
-
-def _run(function: Callable[..., Row], make_context: Callable[[], Any], job: int) -> Row:
-    return function(make_context(), job)
-
-
-def _check_workers(client: Client, scheduler: str) -> None:
-    """Check that a cluster has workers, and that all of them have the code of this process."""
-    with suppress(TimeoutError):
-        client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
+    for name in ("distributed", "tornado"):  # their errors arrive as exceptions
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        digests = cast(dict[str, str], client.run(code_digest)) if client.nthreads() else {}
-    except ImportError as error:
-        raise StudyError(f"--scheduler: a worker of {scheduler} lacks {error.name}") from None
-    if not digests:
+        client = Client(scheduler, timeout=_PATIENCE)
+    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificate
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise StudyError(
-            f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
-        )
-    strange = [worker for worker, digest in digests.items() if digest != code_digest()]
-    if strange:
-        raise StudyError(
-            f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
-        )
+            f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
+            "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
+        ) from None
+    with ExitStack() as stack:
+        stack.callback(client.close)  # after an error
+        with suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=30.0)
+        try:
+            digests = client.run(code_digest) if client.nthreads() else {}
+        except ImportError as error:
+            raise StudyError(f"--scheduler: a worker of {scheduler} lacks {error.name}") from None
+        if not digests:
+            raise StudyError(
+                f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
+            )
+        if strange := [name for name, digest in digests.items() if digest != code_digest()]:
+            raise StudyError(
+                f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
+            )
+        stack.pop_all()
+    return client
+
+
+def _map(
+    client: Any, make_context: Task, function: Task, jobs: Sequence[int], *, lost: Task
+) -> Iterator[Row]:
+    """As `Workers.map`, but yields the results in the order in which the jobs end. Each job calls
+    `make_context`, which caches the data that the jobs share.
+    """
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+
+    run = partial(_run, function, make_context)
+    jobs_of = dict(zip(client.map(run, jobs, pure=False), jobs, strict=True))
+    for future in as_completed(jobs_of):
+        try:
+            yield future.result()
+        except KilledWorker:
+            yield lost(jobs_of[future])
+
+
+def _run(function: Task, make_context: Task, job: int) -> Row:
+    return function(make_context(), job)

@@ -1,7 +1,6 @@
 """The maps of a sweep: horizontal paths by their direction, paths from above by their place."""
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +17,6 @@ from app.studies.runs import Row
 from app.studies.style import INK, METHOD_NAMES, SOFT, TARGET, new_figure
 from app.studies.sweep.plan import CLEARANCE_LIMIT, ERROR_LIMIT
 
-Colour = tuple[float, float, float, float]
-
 _GOOD, _BAD = colormaps["Blues"], colormaps["YlOrRd"]
 _PALE, _DEEP = 0.45, 0.95  # [-] used range of a colour map
 _WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # colours in the legend
@@ -30,10 +27,8 @@ _INNER, _OUTER = 0.80, 1.60  # [m] radii in plan of the bars' scale, which surro
 _MIN_BAR = 0.06  # [-] smallest length of a bar, relative to the scale
 _AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [m] radius, [deg] angle between dots for the wheel axis
 _AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # order of the dots by |x| of p_b [m]
-_EDGE = 1.98  # [m] radius in plan of a panel
 _PANEL = 3.35  # [in] side of a panel
 _MARKS_AT = 132.0  # [deg] direction of the texts of the scale, diagonally behind the base
-_DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
 class Quantity(NamedTuple):
@@ -42,7 +37,7 @@ class Quantity(NamedTuple):
     key: str  # key in the rows of paths
     title: str
     scale: Normalize  # of the values [m or s]
-    limit: float | None  # [m or s] boundary of good values; None if all values are good
+    limit: float  # [m or s] boundary of good values; infinite if all values are good
     marks: tuple[tuple[float, str], ...]  # values that are drawn as circles, with their texts
     more_is_better: bool = False
 
@@ -51,27 +46,14 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan at which the bar of a value ends.
+        """[m] radius in plan of the end of a bar; at least the limit's, if larger is better."""
+        shown = max(value, self.limit) if self.more_is_better else value
+        return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
-        If larger values are better, values below the limit have the limit's radius.
-        """
-        if self.more_is_better and self.limit is not None:
-            value = max(value, self.limit)
-        return _INNER + (_OUTER - _INNER) * max(self.share(value), _MIN_BAR)
-
-    def good(self, value: float) -> bool:
-        """Whether a value is on the good side of the limit."""
-        if self.limit is None:
-            return True
-        return value >= self.limit if self.more_is_better else value <= self.limit
-
-    def colour(self, value: float) -> Colour:
-        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit.
-
-        Without a limit, smaller values are darker.
-        """
-        at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
-        good = self.good(value)
+    def colour(self, value: float) -> tuple[float, float, float, float]:
+        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit."""
+        at, limit = self.share(value), self.share(self.limit)
+        good = value >= self.limit if self.more_is_better else value <= self.limit
         width = limit if good is not self.more_is_better else 1.0 - limit
         depth = min(abs(at - limit) / width, 1.0) if width > 0.0 else 0.0
         return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * depth)
@@ -83,42 +65,25 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
     The scale of the distance ends at the largest distance at a start, and that of the time at the
     longest time, both rounded up.
     """
-    times = [row["time_s"] for row in rows if row["time_s"] is not None]
-    longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
+    known = [row["time_s"] for row in rows if row["time_s"] is not None]
+    longest = 5.0 * math.ceil(max(known, default=5.0) / 5.0)
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
-    distances = CLEARANCE_LIMIT, widest / 2, widest
+    errors = (1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")
+    gaps = tuple((gap, f"{gap:.3g} m") for gap in (CLEARANCE_LIMIT, widest / 2, widest))
+    times = (longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")
+    log, root = LogNorm(1e-6, 0.3, clip=True), PowerNorm(0.5, 0.0, widest, clip=True)
+    linear = Normalize(0.0, longest, clip=True)
     return (
+        Quantity("ee_error_final_m", "final error of the end-effector", log, ERROR_LIMIT, errors),
         Quantity(
-            "ee_error_final_m",
-            "final error of the end-effector",
-            LogNorm(1e-6, 0.3, clip=True),
-            ERROR_LIMIT,
-            ((1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")),
+            "min_clearance_m", "smallest distance to the base", root, CLEARANCE_LIMIT, gaps, True
         ),
-        Quantity(
-            "min_clearance_m",
-            "smallest distance to the base",
-            PowerNorm(0.5, 0.0, widest, clip=True),
-            CLEARANCE_LIMIT,
-            tuple((distance, f"{distance:.3g} m") for distance in distances),
-            more_is_better=True,
-        ),
-        Quantity(
-            "time_s",
-            "time until the error is within 1 mm",
-            Normalize(0.0, longest, clip=True),
-            None,
-            ((longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")),
-        ),
+        Quantity("time_s", "time until the error is within 1 mm", linear, math.inf, times),
     )
 
 
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
-    """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
-
-    Each controller has a column of panels, one for each of `quantities`. The three panels of a
-    single controller are in a row.
-    """
+    """Draw the horizontal paths of a sweep at a height [m] and a speed [m/s], by direction."""
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
         for key in ("paths", "wheel_axis")
@@ -157,13 +122,11 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths that lead down onto the base at one speed [m/s], each as a square in plan.
-
-    The panels are as in `polar_map`.
-    """
+    """Draw the paths down onto the base at one speed [m/s], each as a square in plan."""
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
-    sides = [_smallest_step([*rows, *no_start], key) for key in ("place_x_m", "place_y_m")]
+    columns = ([row[key] for row in [*rows, *no_start]] for key in ("place_x_m", "place_y_m"))
+    sides = [float(np.diff(np.unique(column)).min(initial=1.0)) for column in columns]
     body = MobileBody(model)
     lower, upper = body.lower, body.upper
     speed_text, length = f"{1000 * speed:.3g} mm/s", f"{result['length_m']:g} m"
@@ -193,7 +156,9 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
 def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, Quantity, list[Row]]]]:
-    """Make panels of the height `panel` [in], each with a quantity and the rows of a controller."""
+    """Make panels of the height `panel` [in], each with a quantity and the rows of a controller.
+    Each controller has a column of panels; a single controller has a row.
+    """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
     wide, high = (3, 1) if single else (len(names), 3)
@@ -232,7 +197,7 @@ def _base(
     place = {"transform": style.pop("transform", ax.transData)}
     line = {"edgecolor": INK, "linewidth": 1.2, "zorder": 3, "label": "base"}
     ax.add_patch(Rectangle((left, low), width, height, **line, **style, **place))
-    ax.plot([0, 0], axis, color=INK, linewidth=0.9, linestyle=_DOTTED, zorder=5, **place)
+    ax.plot([0, 0], axis, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), zorder=5, **place)
     ax.add_patch(Circle((x, y), mount, color=SOFT, zorder=4, **place))
 
 
@@ -247,13 +212,13 @@ def _scale(ax: Any, quantity: Quantity) -> None:
     ax.set_axisbelow(False)
     ax.tick_params(pad=-6)
     ax.spines["polar"].set_visible(False)
-    ax.set_rlim(0.0, _EDGE)
+    ax.set_rlim(0.0, 1.98)
     halo = patheffects.withStroke(linewidth=2.5, foreground="white")
     lines, labels = ax.yaxis.get_gridlines(), ax.get_yticklabels()
     for (value, _), line, label in zip(quantity.marks, lines, labels, strict=False):
         label.set(path_effects=[halo], zorder=8)
         if value == quantity.limit:
-            line.set(color=TARGET, linewidth=1.4, linestyle=_DASHED)
+            line.set(color=TARGET, linewidth=1.4, linestyle=(0, (4, 2)))
             label.set_color(TARGET)
 
 
@@ -277,8 +242,3 @@ def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
     """If a path had a contact, draw a cross at a place in the coordinates of the axes."""
     if row.get("contacts") or row.get("arm_contacts"):
         ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)
-
-
-def _smallest_step(rows: Sequence[Row], key: str) -> float:
-    """[m] smallest difference between different values of a column, at most 1."""
-    return float(np.diff(np.unique([row[key] for row in rows])).min(initial=1.0))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -26,21 +26,9 @@ Kind = Literal["side", "wheel_axis", "above"]
 
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b, the arm's point nearest to the base, at starts of paths along the wheel axis."""
-
 ERROR_LIMIT = 0.001  # [m] largest final error of a successful path
 CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a successful path
 CLEAR = 0.02  # [m] difference between the distance at the start and d_b, by default
-_MIN_CLEAR = 0.005  # [m] smallest valid difference
-_RANGES = {
-    "heights": (0.02, 2.0, "m"),
-    "speeds": (0.001, 1.0, "m/s"),
-    "step": (0.5, 90.0, "deg"),
-    "above_spacing": (0.02, 1.0, "m"),
-    "length": (0.01, 0.5, "m"),
-    "hold": (0.0, 60.0, "s"),
-}
-"""Smallest valid value, largest valid value, and unit of fields of `SweepPlan`."""
-_FARTHEST = 0.5  # [m] largest valid distance between arm and base at the start
 OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
 """Options of `dbb sweep` whose names differ from the field of `SweepPlan`."""
 
@@ -74,10 +62,8 @@ class Approach:
         """The path as a text, such as `from 35°, height 0.3 m`."""
         if self.kind == "above":
             return "from above at ({:g}, {:g}) m".format(*self.place)
-        text = f"from {self.direction_deg:g}°, height {self.height:g} m"
-        if self.kind == "wheel_axis":
-            text += f", p_b at x = {1000 * self.offset:g} mm"
-        return text
+        at = f", p_b at x = {1000 * self.offset:g} mm" if self.kind == "wheel_axis" else ""
+        return f"from {self.direction_deg:g}°, height {self.height:g} m{at}"
 
     def where(self) -> dict[str, object]:
         """The fields that distinguish this path from others of its kind; keys end in the unit."""
@@ -93,31 +79,8 @@ def point_of(p: Array) -> Point:
     return x, y, z
 
 
-def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
-    """Paths of the kind `side`, at each height [m] from all directions, `step` [deg] apart."""
-    for height, k in product(heights, range(round(360.0 / step))):
-        yield Approach("side", height, k * step)
-
-
-def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
-    """Paths of the kind `wheel_axis` from both sides, for all heights [m] and `AXIS_OFFSETS`."""
-    for height, direction, offset in product(heights, (90.0, 270.0), AXIS_OFFSETS):
-        yield Approach("wheel_axis", height, direction, offset)
-
-
-def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
-    """Paths of the kind `above`, on a grid between corners (2,), at most `spacing` [m] apart."""
-    counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
-    xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True))
-    for x, y in product(xs, ys):
-        yield Approach("above", place=(round(float(x), 6), round(float(y), 6)))
-
-
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance from a point p [m] in a box to the surface of the box, along a unit vector.
-
-    All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
-    """
+    """[m] distance along a unit vector from a point p in a box to the box's surface, 2D or 3D."""
     with np.errstate(divide="ignore", over="ignore"):
         distances = np.where(direction > 0.0, upper - p, lower - p) / direction
     return float(np.min(np.where(direction == 0.0, np.inf, distances)))
@@ -125,17 +88,17 @@ def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> flo
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep, and the conditions of the runs along them."""
+    """The paths of a sweep, and the conditions of the runs; annotations have ranges and units."""
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controllers: tuple[str, ...] = ("dbb",)
     """One or several of dbb, hqp, repulsive, barrier and none, separated by blanks or commas."""
-    heights: tuple[float, ...] = (0.3,)
+    heights: Annotated[tuple[float, ...], (0.02, 2.0, "m")] = (0.3,)
     """[m] heights of the end-effector on horizontal paths, one or several."""
-    speeds: tuple[float, ...] = (0.025,)
+    speeds: Annotated[tuple[float, ...], (0.001, 1.0, "m/s")] = (0.025,)
     """[m/s] mean speeds of the end-effector on a path, one or several."""
-    step: float = 5.0
+    step: Annotated[float, (0.5, 90.0, "deg")] = 5.0
     """[deg] angle between two neighbouring directions; 360 must be a multiple of this angle."""
     mode: Mode = "tracking"
     """tracking with constant orientation, or guiding by a person who pulls the end-effector."""
@@ -143,11 +106,11 @@ class SweepPlan:
     """Include paths parallel to the wheel axis, from the left and from the right."""
     above: bool = False
     """Include vertical paths down onto the base, one at each point of a grid over the base."""
-    above_spacing: float = 0.15
+    above_spacing: Annotated[float, (0.02, 1.0, "m")] = 0.15
     """[m] largest spacing of the grid of --above."""
-    length: float = 0.2
+    length: Annotated[float, (0.01, 0.5, "m")] = 0.2
     """[m] length of each path."""
-    hold: float = 3.0
+    hold: Annotated[float, (0.0, 60.0, "s")] = 3.0
     """[s] duration of the rest at the end of each path."""
     start_distance: float | None = None
     """[m] distance between arm and base at the start; default: d_b + 0.02."""
@@ -162,17 +125,18 @@ class SweepPlan:
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         chosen_plant(self.physics)
-        for name, bounds in _RANGES.items():
+        for name, kind in get_type_hints(type(self), include_extras=True).items():
             values = getattr(self, name)
             option = f"--{OPTIONS.get(name, name).replace('_', '-')}"
-            for value in values if isinstance(values, tuple) else (values,):
-                check_range(option, value, *bounds)
+            for bounds in getattr(kind, "__metadata__", ()):
+                for value in values if isinstance(values, tuple) else (values,):
+                    check_range(option, value, *bounds)
         for name, option in OPTIONS.items():
             if not getattr(self, name):
                 raise ConfigError(f"--{option}: needs one or several values")
         if self.start_distance is not None:
-            smallest = self.config.border.d_b + _MIN_CLEAR
-            check_range("--start-distance", self.start_distance, smallest, _FARTHEST, "m")
+            smallest = self.config.border.d_b + 0.005
+            check_range("--start-distance", self.start_distance, smallest, 0.5, "m")
         if abs(360.0 / self.step - round(360.0 / self.step)) > 1e-9:
             raise ConfigError(f"--step: 360° is not a multiple of {self.step:g}°")
 
@@ -186,11 +150,17 @@ class SweepPlan:
         """All paths; each is for all speeds and controllers."""
         from app.border.mobile import MobileBody
 
-        found, body = list(ring(self.heights, self.step)), MobileBody(model)
+        directions, body = range(round(360.0 / self.step)), MobileBody(model)
+        found = [Approach("side", h, k * self.step) for h, k in product(self.heights, directions)]
         if self.wheel_axis:
-            found += wheel_axis(self.heights)
+            each = product(self.heights, (90.0, 270.0), AXIS_OFFSETS)
+            found += [Approach("wheel_axis", *numbers) for numbers in each]
         if self.above:
-            found += from_above(body.lower[:2], body.upper[:2], self.above_spacing)
+            lower, upper = body.lower[:2], body.upper[:2]
+            parts = np.ceil((upper - lower) / self.above_spacing - 1e-9).astype(int)
+            sides = zip(lower, upper, np.maximum(parts, 1) + 1, strict=True)
+            grid = product(*(np.linspace(*side).tolist() for side in sides))
+            found += [Approach("above", place=(round(x, 6), round(y, 6))) for x, y in grid]
         return found
 
     def trials(self, starts: list[Start]) -> Iterator[tuple[Start, str, float]]:
@@ -201,16 +171,11 @@ class SweepPlan:
 
     def spec(self, start: Start, controller: str, speed: float) -> RunSpec:
         """The run from a start with a controller at a mean speed [m/s] of the end-effector."""
-        moving = self.length / speed
+        moving, path = self.length / speed, start.approach
+        total, move = moving + self.hold, point_of(self.length * path.inwards)
+        about = "the end-effector moves towards the base"
         line = StartedLine(
-            start.approach.name,
-            moving + self.hold,
-            "the end-effector moves towards the base",
-            self.mode,
-            start.p_ee,
-            point_of(self.length * start.approach.inwards),
-            moving / (moving + self.hold),
-            start.q_m,
+            path.name, total, about, self.mode, start.p_ee, move, moving / total, start.q_m
         )
         return RunSpec(self.robot, line, self.config, controller, self.physics, self.seed)
 

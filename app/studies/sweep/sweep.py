@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby, islice, product, tee
@@ -69,22 +70,11 @@ _FIRST = (
     "passed",
 )
 """First columns of `sweep.csv`."""
-
-_Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joint positions
-
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 """[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
 _SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
 """[deg] horizontal angle of the end-effector from the outward direction, and a number that is added
 to the seed; preferred first."""
-_TRIES = 4  # [-] starting points of a search for each pitch of the end-effector
-_MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
-_SLIDE = 0.02  # [m] first step of the end-effector towards the desired distance
-_FARTHEST_SLIDE = 0.25  # [m] sum of these steps after which no further step is made
-_DISTANCE_TOLERANCE = 1e-4  # [m] tolerance of the distance at the start
-_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of the x coordinate of p_b
-_OFFSET_TRIES = 40  # [-] largest number of corrections of p_b
-_SMALL_OFFSET = 1e-4  # [m] error of p_b below which joint steps replace the search for postures
 
 
 class StartFinder:
@@ -98,18 +88,19 @@ class StartFinder:
         self._state = RobotState(model)
         self._monitor = DistanceMonitor(self._state, data.pairs.mobile)
         self._body = MobileBody(model)
-        self._searched: tuple[Approach, int] | None = None
-        self._found: Iterator[_Posture] = iter(())
-        self._flaws: Counter[str] = Counter()
+        self._flaws: Counter[str] = Counter()  # failed tries of the last search, by the reason
+        # Paths that differ only in `offset` share the postures; a copy of `tee` begins anew.
+        self._postures = lru_cache(maxsize=1)(lambda *path: tee(self._search(*path), 1)[0])
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
-        """Find the start of a path, or the reasons why there is none.
+        """Find the start of a path, or the three most frequent reasons why there is none.
 
         If the arm cannot reach the desired `distance` [m] from the base on the path's line, the
-        start has the distance at which the search ended.
+        start has the distance at which the search ended. At most six postures are tried.
         """
         refused: Counter[str] = Counter()
-        for posture in islice(self._postures(approach, seed), _MAX_POSTURES):
+        postures = copy(self._postures(replace(approach, offset=0.0), seed))
+        for posture in islice(postures, 6):
             try:
                 p_ee, q_m = self._slide_to_distance(approach, *posture, distance)
                 if approach.kind == "wheel_axis":
@@ -120,31 +111,22 @@ class StartFinder:
             closest = self._closest(q_m)
             p_ee, p_b = point_of(self._state.T_world_ee.translation), point_of(closest.p_b)
             return Start(approach, tuple(q_m.tolist()), p_ee, p_b, float(closest.d))
-        return Start(approach, reason=_reasons(refused or self._flaws))
+        flaws = sorted((refused or self._flaws).items(), key=lambda item: (-item[1], item[0]))
+        reasons = (f"{flaw} ({count} tries)" for flaw, count in flaws[:3])
+        return Start(approach, reason="; ".join(reasons))
 
-    def _postures(self, approach: Approach, seed: int) -> Iterator[_Posture]:
-        """Postures for a path; paths that differ only in `offset` share them."""
-        key = replace(approach, offset=0.0), seed
-        if key != self._searched:
-            self._searched, self._flaws = key, Counter()
-            self._found = self._search(approach, seed, self._flaws)
-        self._found, postures = tee(self._found)  # stores the found postures for the next path
-        return postures
-
-    def _search(self, approach: Approach, seed: int, flaws: Counter[str]) -> Iterator[_Posture]:
-        """Search for postures outside all buffers; `flaws` counts the failed tries by reason."""
+    def _search(self, approach: Approach, seed: int) -> Iterator[tuple[Array, Array]]:
+        """Yield positions (3,) [m] of the end-effector, and postures (n_m,) outside all buffers."""
         places = [self._place(approach, gap) for gap in _GAPS]
         reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
-        if len(reached) < len(places):
-            flaws[OUT_OF_REACH] = len(places) - len(reached)
+        missed = len(places) - len(reached)
+        self._flaws = Counter({OUT_OF_REACH: missed} if missed else {})
         for (turn, k), p_ee in product(_SEARCHES, reached):
             try:
-                how = {"turn": math.radians(turn), "tries": _TRIES}
-                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, **how)
+                how = {"turn": math.radians(turn), "tries": 4}
+                yield p_ee, self._solver.solve(point_of(p_ee), seed=seed + k, **how)
             except UnreachableError as error:
-                flaws.update(error.flaws)
-                continue
-            yield p_ee, q_m
+                self._flaws.update(error.flaws)
 
     def _place(self, approach: Approach, gap: float) -> Array:
         """(3,) [m] position of the end-effector at a gap [m] from the base's outline or top."""
@@ -158,10 +140,10 @@ class StartFinder:
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move the end-effector (3,) [m] and the joints (n_m,) towards the desired distance [m]."""
+        """Move end-effector (3,) [m] and joints (n_m,) towards the desired distance [m]."""
         excess = self._closest(q_m).d - distance
-        step, moved, small = np.sign(excess) * _SLIDE, 0.0, _DISTANCE_TOLERANCE
-        while abs(excess) > small and abs(step) > small / 8 and moved <= _FARTHEST_SLIDE:
+        step, moved, small = np.sign(excess) * 0.02, 0.0, 1e-4  # [m]; `small` is the tolerance
+        while abs(excess) > small and abs(step) > small / 8 and moved <= 0.25:  # [m]
             p_new = p_ee + step * approach.inwards
             with suppress(UnreachableError):
                 q_new = self._solver.slide(point_of(p_new), q_m)
@@ -173,19 +155,18 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Find joint positions (n_m,) with p_b at the coordinate x [m]; the search starts at `q_m`.
-
-        p_b is the arm's closest point to the base; `p_ee` (3,) [m] is the end-effector's position
-        at `q_m`. If the search finds no such joint positions, it raises an UnreachableError.
+        """Joint positions (n_m,) at which x of p_b, the arm's closest point, is `x` [m].
+        The search starts at `q_m`, with the end-effector at `p_ee` (3,) [m]; without success it
+        raises an UnreachableError.
         """
         smallest = np.inf
-        for _ in range(_OFFSET_TRIES):
+        for _ in range(40):
             closest = self._closest(q_m)
             error = float(closest.p_b[0]) - x
-            if abs(error) < _OFFSET_TOLERANCE:
+            if abs(error) < 1e-7:
                 return q_m
             smallest = min(smallest, abs(error))
-            if abs(error) > _SMALL_OFFSET:  # shift the end-effector along the base's x axis
+            if abs(error) > 1e-4:  # shift the end-effector along the base's x axis
                 p_ee = p_ee - [error, 0.0, 0.0]
                 q_m = self._solver.slide(point_of(p_ee), q_m)
             else:  # the smallest joint step, which is finer than the search for postures
@@ -202,18 +183,11 @@ class StartFinder:
         return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
 
 
-def _reasons(flaws: Counter[str]) -> str:
-    """The three most frequent reasons of failed tries, as a text."""
-    ordered = sorted(flaws.items(), key=lambda item: (-item[1], item[0]))
-    return "; ".join(f"{flaw} ({count} tries)" for flaw, count in ordered[:3])
-
-
 @lru_cache(maxsize=1)
 def load(robot: str, d_b: float) -> StartFinder:
     """The `StartFinder` of a robot for a buffer distance `d_b` [m], cached in each process."""
     model = RobotModel(load_robot(robot))
-    data = load_border_data(model, progress=False)
-    return StartFinder(model, data, d_b)
+    return StartFinder(model, load_border_data(model, progress=False), d_b)
 
 
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
@@ -309,7 +283,6 @@ def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]
 def _summary(starts: list[Start], rows: list[Row]) -> Row:
     """Numbers of runs by their result, sums, and worst and median values; None without a value."""
     unreachable = sum(bool(start.reason) for start in starts)
-    contacts, arm_contacts = ([row[k] for row in rows] for k in ("contacts", "arm_contacts"))
 
     def extreme(choose: Any, key: str) -> float | None:
         values = [row[key] for row in rows if row[key] is not None]
@@ -323,10 +296,10 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
         "ee_error_max_m": extreme(max, "ee_error_max_m"),
         "min_clearance_m": extreme(min, "min_clearance_m"),
         "arm_min_clearance_m": extreme(min, "arm_min_clearance_m"),
-        "runs_with_contact": sum(count > 0 for count in contacts),
-        "runs_with_arm_contact": sum(count > 0 for count in arm_contacts),
-        "contacts": sum(contacts),
-        "arm_contacts": sum(arm_contacts),
+        "runs_with_contact": sum(row["contacts"] > 0 for row in rows),
+        "runs_with_arm_contact": sum(row["arm_contacts"] > 0 for row in rows),
+        "contacts": sum(row["contacts"] for row in rows),
+        "arm_contacts": sum(row["arm_contacts"] for row in rows),
         "never_arrived": sum(row["time_s"] is None for row in rows),
         "time_max_s": extreme(max, "time_s"),
         "base_displacement_max_m": extreme(max, "base_displacement_m"),
