@@ -155,7 +155,7 @@ def test_check_and_plants_count_the_same_contacts_of_two_links(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(grouping, "ENOUGH", 0)
         assert (arm_row(model).numbers["collisions"] > 0.0) is counts
-    plant, state = planar_plant(engine, model), RobotState(model)
+    plant, state = Planar(engine, model), RobotState(model)
     plant.reset(np.zeros(3), np.zeros(4))  # the links overlap as much as they can
     state.update(plant.measure())
     plant.step(state.g[model.n_b :], np.zeros(model.n_b), np.zeros(3))
