@@ -11,7 +11,7 @@ The estimate belongs to the newest reading; `advance` predicts the present state
 not use the external acceleration: a guided end-effector stays free. Limits use it, so that joint
 speeds and distances stay within their limits while a person pulls.
 
-The argument `w` is a `STEP`.
+In all functions, the argument `w` is a `STEP`, and `gains` are `GAINS`.
 """
 
 import math
@@ -76,8 +76,9 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; reset P to the noise variances `trusted` (2, n_m).
 
-    A clear change of the velocity that x[2] and `predicted` do not explain changes x[2]. The other
-    arguments are those of `estimate_arm`.
+    A clear change of the velocity that the external acceleration x[2] and `predicted` do not
+    explain changes x[2]. A joint without a position is only predicted. The other arguments are
+    those of `estimate_arm`.
     """
     x, P, steps, dt = w.x_read, w.P_est, len(predicted), gains.dt
     expected = x.copy()
@@ -130,11 +131,11 @@ def estimate_arm(
     samples, `_begin_at` replaces the filter. A joint without a position is only predicted. As in
     drives and simulators, a measured velocity is the mean velocity of the last control period.
 
-    `w` is a `STEP`; its `x_read`, `P_est`, `noise_var`, `q_last` and `samples` are used.
     `predicted` (k, n_m) has the `predicted_joint_acceleration` in each of the k control periods
     since the last reading; no rows after a gap. `read` (2, n_m) has positions [rad or m] and
     velocities [rad/s or m/s], NaN if one is unknown. `qd_max` (n_m,) are the joints' speed limits,
-    `drift` (n_m,) is `process_noise`, and `gains` `GAINS`.
+    and `drift` (n_m,) is `process_noise`. Of `w`, x_read, P_est, noise_var, q_last and samples
+    change.
     """
     x, P, last, steps, dt = w.x_read, w.P_est, w.q_last, len(predicted), gains.dt
     q, qd = read
@@ -249,7 +250,7 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden
 
 @compiled()
 def grow(p: Array, drift: float, periods: int, dt: float) -> None:
-    """Predict the covariance p (3, 3) of a joint over control periods of dt [s]."""
+    """Predict a joint's covariance p (3, 3) over periods of dt [s]; `drift` is `process_noise`."""
     for _ in range(periods):
         for j in range(3):
             p[1, j] += dt * p[2, j]

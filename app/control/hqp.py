@@ -1,15 +1,9 @@
 """(26) to (29) as printed in the paper (§3.4): strict levels and their transition.
 
 This is the compared method `hqp`; the other parts of its step are those of `dbb`
-(docs/comparison.md lists them). The cascade below corrects the paper only where necessary:
-
-- (29) has (I − B) (J_sca q̈_2* + J̇_sca q̇) on the right side: only then it is (26) at B = 0.
-- (26) leaves q̈ open if T_2 has fewer rows than q̈ has entries. Therefore a lowest level follows:
-  posture and damping, with a large weight on the wheels. A guided arm has no T_2 (§4.2.2): its
-  lowest levels are a base at rest, then gravity compensation with joint damping.
-- The level T_sca has only the rows with β > 0: those of pairs within their buffers.
-
-u is not an unknown here, because (26) defines u = M q̈ + C q̇ + g without a constraint on q̈.
+(docs/comparison.md lists them). "As printed" in docs/departures.md has the necessary corrections.
+The level T_sca has only the rows with β > 0. u is not an unknown here, because (26) defines
+u = M q̈ + C q̇ + g without a constraint on q̈.
 """
 
 from typing import NamedTuple
