@@ -49,13 +49,14 @@ class DistanceMonitor:
 class SmoothPoints:
     """Closest points by a mean over the nodes of the core of `b`; nearer nodes weigh more.
 
-    "Closest points" in docs/method.md has the formulas. If a capsule is parallel to a face, the
-    library's closest point is one of many, and jumps from one end to the other as the capsule
-    turns. The mean moves continuously, because the distance of each node to `a` is continuous. If
-    one node is much nearer than the others, this node is the result. If `a` has several convex
-    parts, the normal is a mean of the parts' normals, and is shorter than 1 in a corner between two
-    parts. The nearest point of a flat face can be any of its points. Therefore, on each shape of
-    `b` with flat faces, the points that are nearest to the nodes of `a` are nodes too.
+    Nodes are points of the core, such as the axis of a capsule; "Closest points" in docs/method.md
+    has the formulas. If a capsule is parallel to a face, the library's closest point is one of
+    many, and jumps from one end to the other as the capsule turns. The mean moves continuously,
+    because the distance of each node to `a` is continuous. If one node is much nearer than the
+    others, this node is the result. If `a` has several convex parts, the normal is a mean of the
+    parts' normals, and is shorter than 1 in a corner between two parts. The nearest point of a flat
+    face can be any of its points. Therefore, on each shape of `b` with flat faces, the points that
+    are nearest to the nodes of `a` are nodes too.
 
     Attributes:
         rows: For each pair: the index of its own row in the results of `mean_nearest`, then, if `a`
@@ -131,6 +132,7 @@ def _mean_nearest(
     """Write one row of `mean_nearest` into `found` (4, 3).
 
     `a` has the shapes of l_a, all or one, and `corners` its nodes; `b`, `nodes` are those of l_b.
+    `work` is scratch memory.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
@@ -189,9 +191,9 @@ def mean_nearest(
     `bodies` are four arrays of all bodies, one body after the other: (P, 16) rows and (T, 4, 3)
     triangles of `Shapes`; (K, 4) [m] nodes, each with the radius around it; (bodies + 1, 2) index
     of the first shape and of the first node of each body. `sought` (k, 4) has the indices of `a`
-    and `b`, then first and end index of the used shapes of `a`. `placed` (4 bodies, 3) has the pose
-    of each body in the world: three rows of R, then the origin [m]. `blend` [m] is the smoothing
-    length τ.
+    and `b`, then first and end index of the used shapes of `a`. `placed` (4 × bodies, 3) has the
+    pose of each body in the world: three rows of R, then the origin [m]. `blend` [m] is the
+    smoothing length τ.
     """
     rows, triangles, nodes, firsts = bodies
     found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))

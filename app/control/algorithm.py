@@ -117,11 +117,10 @@ def update_estimate(
 ) -> bool:
     """Estimate the robot's state from the readings, and convert it to pinocchio's coordinates.
 
-    This is the part of line 2 of Algorithm 2 that precedes pinocchio's computation.
-
-    The present buffer distance `w.d_b` starts at the configured one, and approaches a new one at
-    `BUFFER_RATE`. Without valid readings, or with the fault `jump` or `localisation`, all
-    references are forgotten. With valid readings, `shift_reference` then shifts the reference that
+    This is the part of line 2 of Algorithm 2 that precedes pinocchio's computation. The present
+    buffer distance `w.d_b` starts at the configured one, and approaches a new one at `BUFFER_RATE`.
+    Without valid readings, or with the fault `jump` or `localisation`, all references are
+    forgotten. With valid readings, `shift_reference` then shifts the reference that
     `take_reference` has written. Returns whether the readings have a fault; invalid readings have
     one. The arguments from `readings` on are those of `take_readings`.
     """

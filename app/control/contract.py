@@ -24,7 +24,7 @@ _FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 
 
 
 def checked_period(dt: float) -> float:
-    """The control period dt [s] as a float; a ConfigError if it is no number in the range."""
+    """The control period dt [s] as a float; a ConfigError outside of `SHORTEST` to `LONGEST`."""
     if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
         raise ConfigError(f"dt must be between {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
     return float(dt)
@@ -137,7 +137,7 @@ class JointOrder:
 def checked_reference(reference: Reference) -> Reference:
     """The reference with arrays of floats.
 
-    A MeasurementError shows that it is no `Reference`, or that a field has a wrong type or shape.
+    Another type than `Reference`, or a field of a wrong type or shape, raises a MeasurementError.
     """
     if not isinstance(reference, Reference):
         raise MeasurementError(

@@ -273,7 +273,7 @@ class Command(NamedTuple):
     def load(self) -> float:
         """[kg] mass of the load in the fault `load`; negative if a load of `payload.mass` is gone.
 
-        Without this fault, the mass that best explains the external torques, also of a person.
+        Without this fault, the mass that best explains the external torques, including a person's.
         """
         return float(self.step.unstated or self.step.load)
 

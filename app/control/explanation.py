@@ -43,7 +43,7 @@ class Bound(NamedTuple):
 
 
 class ForceSplit(NamedTuple):
-    """The force on the base by one pair, split as in Figure 7; horizontal, forward and left."""
+    """The force on the base by one pair, split as in Figure 7, with components forward and left."""
 
     f: Planar  # [N] f_m,i of (14), the sum of `away` and `turn`
     away: Planar

@@ -39,8 +39,8 @@ def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
 def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
     """The levels below T_sca: T_2 and posture, or base at rest and gravity compensation.
 
-    The posture level is the diagonal objective `w.H_low`. The base at rest is q̈_b = −k q̇_b. The
-    gravity compensation minimises (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0) with u_0 = `w.u_free`.
+    The posture level is the diagonal objective `w.H_low`; a base at rest is q̈_b = −k q̇_b, with the
+    `base_damping` k; gravity compensation minimises u_a − `w.u_free` in the metric M_aa⁻¹.
     """
     n_b = w.n_b
     if w.tracking:

@@ -210,7 +210,7 @@ shift | 6 6 | m, rad | world |
 shift_time | | s | | time since the beginning of `shift`
 shift_duration | | s | | duration of `shift`; 0 without a shift
 since_sample | | s | | time since the newest sample of a planner
-sample_interval | | s | | mean time between the samples of a motion; else 0
+sample_interval | | s | | mean time between the samples of a motion; 0 without one
 # Limits, the base, the arm
 u_min | | n_m | N m, N | joints | torque_range | smallest torque of this step
 u_max | | n_m | N m, N | joints | torque_range | largest torque of this step

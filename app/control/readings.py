@@ -114,7 +114,7 @@ _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predi
 _DRY_FRICTION = 0.03  # [-] dry friction of a joint, relative to its torque limit
 _REVERSAL = 0.002  # [-] RMS error of a cubic that is fitted to a step of acceleration, relative to
 # the step and to the squared duration; that of a parabola would hide delays from the first groups
-_DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
+_DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of the evidence by one group
 _CONVINCING = 3.0  # [-] evidence that changes the lag
 _VIOLENT = 1.5  # [-] smallest speed, relative to its limit, of a joint that can contradict the
 # torques; friction and stiff contacts let slower joints move less than their torques
@@ -173,8 +173,8 @@ def _compare_joints(w: Any, read: Array, stamp: float, dt: float) -> tuple[Array
     to 0.1 s. Without time stamps, a new reading can be farther away than a joint moves in two
     control periods at its new velocity. Then the equal readings before it were repetitions too.
 
-    Returns (n_m,) whether each reading is a repetition; the number of these repetitions before it
-    that all joints share; and (n_m,) the further number of each joint.
+    Returns (n_m,) whether each reading is a repetition; the number of the equal readings before a
+    new one that were repetitions of all joints; and (n_m,) the further number of each joint.
     """
     n, clear, farthest, stamped = read.shape[1], False, 0.0, not math.isnan(stamp)
     found, sure, equal = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -289,10 +289,7 @@ def _predict(robot: Any, gains: Any, w: Any, velocity: Array, fresh: bool, misse
 
 @compiled()
 def _explained(w: Any, dt: float, count: int) -> Array:
-    """(n_m, count) [rad] motion by stored accelerations, until k periods ago in column k.
-
-    It begins `count` - 1 periods ago.
-    """
+    """(n_m, count) [rad]; column k: motion by `w.history` from `count` - 1 to k periods ago."""
     n_m = w.history.shape[1]
     found, speed, way = np.zeros((n_m, count)), np.zeros(n_m), np.zeros(n_m)
     for k in range(count - 2, -1, -1):
@@ -318,9 +315,9 @@ def _polynomials(ages: Array, count: int) -> Array:
 
 @compiled()
 def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
-    """Estimate `w.lag` if the newest group of readings is full; add the positions q to a group.
+    """Estimate `w.lag` if the newest group of readings is full; then a new group begins.
 
-    `age` + 1 periods have passed since the last reading.
+    Add the positions q (n_m,), `age` + 1 periods after the last reading, to the newest group.
     """
     ages = w.group_age
     ages += age + 1.0
@@ -366,9 +363,9 @@ def _compare_lags(
 ) -> tuple[Array, Array, float, float]:
     """Compare the possible lags by the newest n groups; dt [s] is the control period.
 
-    A lag predicts the motion, up to a polynomial of time for the motion by external forces, and up
-    to an error by dry friction. The noise of each joint is unknown. "The present" is the better one
-    of the present lag and of no prediction.
+    A lag predicts the motion by `ways`, the result of `_explained`, up to a polynomial of time for
+    the motion by external forces, and up to an error by dry friction. The noise of each joint is
+    unknown. "The present" is the better one of the present lag and of no prediction.
 
     Returns (lags,) the logarithm of the likelihood ratio of each lag to the present, (lags,) [rad²]
     the sum of the squared residuals of each lag, and the sum [rad²] below which a lag is clearly
@@ -406,7 +403,7 @@ def _compare_lags(
 
 @compiled()
 def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
-    """Update the evidence with a new group, and change the lag if the evidence is sufficient.
+    """Update the evidence for lags and for a contradiction; change the lag by sufficient evidence.
 
     The evidence for each lag is a CUSUM test: each group adds a logarithm of a likelihood ratio,
     with an upper bound, minus `_DOUBT`. Sufficient evidence must also follow from the newest two
@@ -520,9 +517,8 @@ def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
     some loops catch up after a stall. A step that is up to 0.9 periods late, or up to half a period
     early, counts as one period; if a coarse clock has not changed for some steps, these bounds
     count for each of them. The lead, for `w.clock_ahead`, is the clock's time minus that of all
-    counted periods; thus the numbers add up to the true time. The lead decays by up to 5 % of a
-    period in each period, because the true control period can differ from dt by 5 %. It is 0 for a
-    coarse clock.
+    counted periods; thus the numbers add up to the true time. The lead decays by up to 5 % of dt in
+    each period, because the true period can differ by 5 % from dt. It is 0 for a coarse clock.
     """
     interval, steps, missed = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()], 0.0
     if not interval > 0.0:  # NaN too
@@ -682,7 +678,7 @@ def _take_base(
 ) -> None:
     """Store the base's readings, and compare them with each other and with the drive's model.
 
-    `velocity` (n_b,) is the one in use. If the readings are not `fresh`, the last pose remains. The
+    `velocity` (n_b,) is the one in use. A pose that is not `fresh` counts as a repetition. The
     fault `base` shows changes of velocity that the assumed acceleration does not explain.
     """
     time = w.elapsed[()]
@@ -765,9 +761,10 @@ def _learn_errors(
     """Update `w.v_error` and `w.blind_time` after a new reading.
 
     The error is that of the velocities that the law used for the time of the reading: `predicted`
-    (n_m,), or `w.qd_used` if the reading has a lag. It counts if a joint's last reading is more
-    than one of the `periods` (n_m,) ago. After a large error or a jump of the arm, the readings can
-    be older than assumed, unless a time stamp has shown their age.
+    (n_m,), or `w.qd_used` if the reading has a lag. `periods` (n_m,) have passed since the last
+    reading of each joint; the error counts in `w.v_error` if these are more than one. After a large
+    error or a jump of the arm, the readings can be older than assumed, unless time stamps have
+    shown an age of more than one period.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, stamped = math.exp(-steps * gains.dt / gains.noise_window), not math.isnan(w.stamp[()])
