@@ -129,10 +129,9 @@ def _mean_nearest(
     work: Array,
     found: Array,
 ) -> None:
-    """Write one row of `mean_nearest` into `found` (4, 3).
+    """Write one row of `mean_nearest` into `found` (4, 3); `work` is scratch memory.
 
     `a` has the shapes of l_a, all or one, and `corners` its nodes; `b`, `nodes` are those of l_b.
-    `work` is scratch memory.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
