@@ -150,7 +150,7 @@ lifts | 8 n_m | N m/kg, N/kg | joints | torques that move 1 kg at the end-effect
 v_tip | 3 | m/s | world | velocity of the end-effector one control period ago
 torques_age | | s | | age of the newest interval of `torques`
 x_read | 3 n_m | rad, rad/s, rad/s² | joints | Kalman state: `x_est` at the newest reading
-v_error | n_m | rad/s, m/s | joints | recent error of the law's velocities due to missing readings
+v_error | n_m | rad/s, m/s | joints | recent error of the law's velocities by rare or late readings
 qd_used | 128 n_m | rad/s, m/s | joints | ring buffer: `qd_m` of the last control periods
 # Memory of estimate
 q_last | 4 n_m | rad/s, rad, 1 | joints |

@@ -761,10 +761,10 @@ def _learn_errors(
     """Update `w.v_error` and `w.blind_time` after a new reading.
 
     The error is that of the velocities that the law used for the time of the reading: `predicted`
-    (n_m,), or `w.qd_used` if the reading has a lag. `periods` (n_m,) have passed since the last
-    reading of each joint; the error counts in `w.v_error` if these are more than one. After a large
-    error or a jump of the arm, the readings can be older than assumed, unless time stamps have
-    shown an age of more than one period.
+    (n_m,), or `w.qd_used` if the reading has a lag. It counts in `w.v_error` if the `periods`
+    (n_m,) of a joint, as in `process_noise`, are more than one. After a large error or a jump of
+    the arm, the readings can be older than assumed, unless time stamps have shown an age of more
+    than one period.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, stamped = math.exp(-steps * gains.dt / gains.noise_window), not math.isnan(w.stamp[()])
