@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
-Compiled functions compute the distances of the collision library, for boxes and round shapes fifty
-times faster.
+The distances are those of the collision library. For boxes and round shapes, these compiled
+functions are fifty times faster.
 """
 
 from __future__ import annotations
@@ -26,15 +26,12 @@ class ConvexPart(NamedTuple):
     """One convex shape of l_m, in the base's frame."""
 
     shapes: Shapes  # only this shape
-    lower: Array
-    upper: Array
-    """(3,) [m] corners of the box of `bounds` around the shape."""
+    lower: Array  # (3,) [m] lowest corner of the box of `bounds` around the shape
+    upper: Array  # (3,) [m] highest corner of this box
 
 
 class MobileBody:
-    """l_m, a union of convex `parts`; `lower`, `upper` (3,) [m] are corners of their common
-    `bounds`.
-    """
+    """l_m: its convex `parts`; `lower` and `upper` (3,) [m] are corners of a box around them."""
 
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
@@ -154,8 +151,7 @@ def _reach(triangle: Array, p: float, q: float, r: float) -> float:
     )
 
 
-_Signed = tuple[float, float, float, float]
-"""A signed distance [m] and the three components of its gradient."""
+_Signed = tuple[float, float, float, float]  # a signed distance [m], and its gradient (3)
 
 
 @compiled()
@@ -172,7 +168,8 @@ def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
     u, v, w = _on_triangle(triangles[face], x, y, z, deepest)
     p, q, r = x - u, y - v, z - w
     level, square = p * u + q * v + r * w, p * p + q * q + r * r
-    # Only the few triangles with a corner beyond the plane through (u, v, w) can be nearer.
+    # Only a triangle with a corner beyond the plane through (u, v, w), perpendicular to the line to
+    # (x, y, z), can be nearer.
     for k in range(len(triangles)):
         if _reach(triangles[k], p, q, r) <= level:
             continue
@@ -220,7 +217,9 @@ def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: f
 
 @compiled()
 def nearest_of(shapes: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Signed distance [m] of (x, y, z) [m] to the nearest of `Shapes`, and its gradient (3)."""
+    """Signed distance [m] of (x, y, z) [m] to the nearest shape, and its gradient (3); `shapes` are
+    `Shapes.rows`, `triangles` are `Shapes.triangles`.
+    """
     best = (np.inf, 0.0, 0.0, 0.0)
     for k in range(len(shapes)):
         R, a, b, c = shapes[k, 4:13], x - shapes[k, 13], y - shapes[k, 14], z - shapes[k, 15]
