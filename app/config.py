@@ -21,7 +21,7 @@ from app.strict import Strict, explain
 def number(
     default: float, low: float, high: float, label: str, *, advanced: bool = False, source: str = ""
 ) -> Any:
-    """A field of a section: a number from `low` to `high`; the others are as in `Parameter`."""
+    """A field of a section: a number from `low` to `high`; the arguments are as in `Parameter`."""
     extra: dict[str, Any] = {"advanced": advanced, "source": source}
     return Field(default, ge=low, le=high, title=label, json_schema_extra=extra)
 
@@ -388,10 +388,9 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
-
-    The end-effector's task, the repulsion, the barrier and the joint limits become slower; the rate
-    of speed limits becomes that of position limits.
+    """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`:
+    those of the end-effector's task, the repulsion, the barrier and the limits of joint positions.
+    `limit.velocity_rate` becomes the new `limit.position_rate`.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale

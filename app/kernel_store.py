@@ -79,7 +79,6 @@ class KernelStore(caching.FunctionCache):
     """The stored kernels of a function: read from any of `_folders`, written to a writable one."""
 
     _impl_class = _Described
-
     saved = False  # whether this process has stored a compiled kernel of the function
 
     def __init__(self, function: FunctionType) -> None:

@@ -137,7 +137,9 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock an open file or folder until it is closed: True; False if locked; None without locks."""
+    """Lock an open file or folder until it is closed, and return True. Return False if another
+    process has the lock, None if the file system has no locks.
+    """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -342,7 +344,7 @@ def home_expanded(path: str) -> Path:
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
     """This user's cache folders: the standard one, unless the user has no home; then one in the
-    folder for temporary files, unless it cannot be used. With `make`, a missing one is created.
+    folder for temporary files, unless it cannot be used. With `make`, the latter is created.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -385,7 +387,7 @@ def open_standard_files() -> None:
 
 
 def set_missing_folders() -> None:
-    """Set TMPDIR, and HOME for browsers, if their folders are missing, as in many containers."""
+    """Set TMPDIR if no temporary folder is writable, and HOME (for browsers) without a home."""
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
     try:
@@ -399,7 +401,7 @@ def set_missing_folders() -> None:
 
 @contextmanager
 def decimal_points() -> Iterator[None]:
-    """In the `with`, C code of this thread reads 0.5, also if a GUI has set decimal commas."""
+    """In the `with`, C code in this thread reads decimal points, even if the locale has commas."""
     library = _c_library()
     if library is None or not hasattr(library, "uselocale"):
         yield

@@ -71,7 +71,7 @@ def load_border_data(
 ) -> BorderData:
     """Load the pairs and clouds of a robot, or sample and store them.
 
-    Without `sampling`, the parameters are those of the project's files. The other arguments are
+    Without `sampling`, the parameters are those of the delivered files. The other arguments are
     those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
     """
     sampling = sampling or SamplingConfig()
@@ -94,7 +94,7 @@ def kept_border_data(
 ) -> BorderData | None:
     """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
-    The user's cache has precedence over the project's files. A file of another robot with the same
+    The user's cache has precedence over the delivered files. A file of another robot with the same
     key is valid too. A warning names each invalid file. Errors: those of `border_key`.
     """
     key = border_key(model.description, sampling or SamplingConfig())

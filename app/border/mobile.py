@@ -156,7 +156,7 @@ _Signed = tuple[float, float, float, float]  # a signed distance [m], and its gr
 
 @compiled()
 def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Distance of the point (x, y, z) [m] to a hull; inside the hull, to the nearest plane."""
+    """Signed distance of (x, y, z) [m] to a hull; inside the hull, that to the nearest plane."""
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
         over = _over(triangles[k], x, y, z)
@@ -186,7 +186,7 @@ def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
 
 @compiled()
 def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Distance of (x, y, z) [m] to a shape, in the shape's frame."""
+    """Signed distance of (x, y, z) [m] to a shape, in the shape's frame."""
     if kind == _CAPSULE:
         z_out = z - min(max(z, -size[1]), size[1])
         far = math.sqrt(x * x + y * y + z_out * z_out)

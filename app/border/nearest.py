@@ -61,7 +61,7 @@ class OffsetContours(NamedTuple):
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """The contour at z [m], or that nearest in height drawn at z, as curves (K, 3) [m]."""
+        """Curves (K, 3) [m] of the contour at z [m]; if there is none, of the nearest one, at z."""
         at = level(self.firsts, self.heights, z)
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
 

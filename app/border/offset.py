@@ -30,7 +30,7 @@ heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equa
 
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for d_b [m], with l_m's shapes by decreasing size; cached for each model."""
+    """The contours for d_b [m], with shapes by decreasing horizontal size; cached by model."""
     parts = MobileBody(model).parts
     parts.sort(key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
     traced = [(part, rings) for part in parts if len((rings := _trace_rings(part, d_b))[0])]
@@ -80,8 +80,8 @@ def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
 
 
 def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
-    """Trace the offset of a convex shape at the distance d_b [m] above the floor. Rays start at the
-    shape's centre or, if a slice of the offset does not contain it, at the centre of each slice.
+    """Trace a convex shape's offset, at the distance d_b [m] from the shape, above the floor. Rays
+    start at the shape's centre or, if a slice does not contain it, at the centre of each slice.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b).tolist()

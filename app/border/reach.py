@@ -87,7 +87,7 @@ class Chain:
         return rng.uniform(*self.ranges)
 
     def _meets(self, numbers: int) -> bool:
-        """Whether the first `numbers` rows of the Jacobian are independent at one of 4 postures."""
+        """Whether the first `numbers` rows of the Jacobian are independent in any of 4 postures."""
         rng = np.random.default_rng(0)
         tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(4))
         ranks = (np.linalg.matrix_rank(J[:numbers], tol=1e-6) for _, J in tried)  # [m/rad or -]
@@ -213,7 +213,7 @@ def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
 
 
 def lattice(radius: float, spacing: float) -> Array:
-    """(N, 3) int16 steps to the points of a cubic lattice in a ball; lengths in the same unit."""
+    """(N, 3) int16 steps from the centre of a ball to the points of a cubic lattice in the ball."""
     reach = int(np.ceil(radius / spacing))
     along = np.arange(-reach, reach + 1)
     steps = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)

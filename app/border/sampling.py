@@ -112,14 +112,14 @@ def _flood_jobs(
     kept: Mapping[Pair, Kept],
 ) -> list[SectorJob]:
     """A job for each sector and pair with an open voxel at or next to a posture of `found`. After
-    the first flood, only postures of other sectors count. `kept` are those of previous floods.
+    the first flood, only postures of other sectors count. `kept` are results of previous floods.
     """
     jobs = []
     for pair, seed in seeds.items():
         taken, given = voxels.keys(voxels.cells(kept[pair].points)), found[pair]
         free = np.ones(voxels.count, dtype=bool)
         free[taken] = False
-        around = voxels.keys(voxels.cells(given.points)[:, None, :] + _AROUND)
+        around = voxels.keys(voxels.cells(given.points)[:, None, :] + AROUND)
         sectors = np.where((around >= 0) & free[around], voxels.sectors(around), -1)
         if len(taken):  # a sector has already used its own postures
             sectors[sectors == voxels.sectors(around[:, :1])] = -1
@@ -267,8 +267,9 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Step into the open voxels probably in range, each from the first posture beside it."""
-        cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
+        """Step into each open voxel that is probably in range, from the first posture beside it."""
+        here = self._voxels.cells(quantise_points(found.p_b))
+        cells = here[:, None, :] + AROUND[1:]
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - found.p_b[:, None]
         ahead = found.d[:, None] + (step * found.normal[:, None]).sum(axis=2)
@@ -321,9 +322,9 @@ def _rows(columns: Columns, which: Array | slice) -> Columns:
     return type(columns)(*(column[which] for column in columns))
 
 
-_AROUND = np.array(
+AROUND = np.array(
     [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
-)  # a voxel, and those that share a face with it
+)  # steps from a voxel to itself and to the six that share a face with it
 
 
 class Voxels:
@@ -364,10 +365,6 @@ class Voxels:
         inside = ((cells >= 0) & (cells < self.shape)).all(axis=-1)
         nx, ny, _ = self.shape
         return np.where(inside, (cells[..., 2] * ny + cells[..., 1]) * nx + cells[..., 0], -1)
-
-    def neighbours(self, cells: Array) -> Array:
-        """(N, 6, 3) the cells that share a face with each cell (N, 3)."""
-        return cells[:, None, :] + _AROUND[1:]
 
     def centres(self, cells: Array) -> Array:
         """(…, 3) [m] centre of each cell (…, 3)."""

@@ -141,7 +141,7 @@ class RobotModel:
     def placed_meshes(
         self, base_pose: Sequence[float] | Array, q_m: Array
     ) -> list[tuple[str, trimesh.Trimesh]]:
-        """The meshes of all shapes, in the world, each with its body's name, at a pose and q_m."""
+        """Body's name and mesh, in the world, of each shape, at a base pose and q_m (n_m,)."""
         data, placed = self.pin.createData(), pin.GeometryData(self.geometry)
         q = self.configuration(base_pose, q_m)
         pin.updateGeometryPlacements(self.pin, data, self.geometry, placed, q)
@@ -257,7 +257,7 @@ def whole_model(description: RobotDescription) -> pin.Model:
 
 
 def configured(whole: pin.Model, positions: Mapping[str, float]) -> Array:
-    """The configuration of a model with some joints at positions [rad or m], the others at zero."""
+    """Pinocchio's configuration with some joints at positions [rad or m], the others at zero."""
     moved = np.zeros(whole.nv)
     for name, position in positions.items():
         moved[whole.joints[whole.getJointId(name)].idx_v] = position

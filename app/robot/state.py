@@ -235,7 +235,7 @@ def reduced_dynamics(
 ) -> tuple[Array, Array, Array]:
     """Sᵀ M S (n, n), Sᵀ h and Sᵀ g (n,), S = diag(B, 1); M, h, J, Y are from `pinocchio_views`."""
     n_b, g = B.shape[1], np.empty(len(h))
-    for k in range(len(h)):  # the weight that the k-th velocity moves, by the motion of its centre
+    for k in range(len(h)):  # weight of the moved bodies times vertical velocity of their centre
         moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
         g[k] = _GRAVITY * moved[0] * _column(J, k, moved[1:])[2]
     n = n_b + len(h) - 3

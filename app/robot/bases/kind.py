@@ -87,8 +87,8 @@ class Wheels(NamedTuple):
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
-"""Function that returns the velocity (n_b,) and the drive one step later. Its arguments, which do
-not change, are both at present and the velocity command; the drive is as in `drive_at_rest`."""
+"""Function from the velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the velocity
+command (n_b,) to the velocity and the drive one step later; it does not change its arguments."""
 
 
 @cache
