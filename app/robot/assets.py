@@ -100,7 +100,7 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot, of a delivered one first; for an unknown name, a folder in `ASSETS`."""
+    """Folder of a robot; a delivered one has precedence. For an unknown name: in `ASSETS`."""
     return next(iter(_folders(name)), ASSETS / name)
 
 
@@ -211,7 +211,7 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The URDF (`read_urdf`) with `file://` addresses of meshes; without shapes of missing ones."""
+    """The URDF (`read_urdf`) with `file://` addresses of meshes, without shapes of missing ones."""
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link, shape in shapes_of(tree):
         if (mesh := shape.find("geometry/mesh")) is not None:

@@ -101,8 +101,8 @@ class LinePlace(Sourced):
 class RobotDescription(Strict):
     """All data of a robot that the method uses.
 
-    `bodies` are in the order of the kinematic chain, with the mobile base l_m first. Neighbours are
-    connected by a joint and never a pair.
+    `bodies` are in the order of the kinematic chain, with the mobile base l_m first. Neighbours in
+    this order are connected by a joint, and are never a pair.
     """
 
     name: Name

@@ -364,7 +364,7 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results; each computation changes it.
+    """(k,) [m] a view of the signed distances in coal's results: it changes with these results.
 
     This call overwrites the distances. Reading the results one by one would take as long as
     computing them.

@@ -10,7 +10,7 @@ from app.strict import Array
 
 
 class HolonomicBase(TurningBase):
-    """A base with three independent velocities ν = q̇_b = (v_x, v_y, ω); thus S = R in (10)."""
+    """A base with independent velocities ν = q̇_b = (v_x, v_y, ω); its measure is 1, so S = R."""
 
     axes: ClassVar[tuple[Axis, ...]] = (Axis("v_x", False), Axis("v_y", False, way="left"), TURN)
 
