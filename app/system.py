@@ -264,8 +264,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
     No reader sees an incomplete file. If `path` is a link, the new file replaces its target
-    (`own_path`). If the file cannot be written, this raises an OutputError, and the previous file
-    remains.
+    (`own_path`). If writing fails, this raises an OutputError, and the previous file remains.
     """
     try:
         real = own_path(path)

@@ -29,6 +29,11 @@ class ConvexPart(NamedTuple):
     lower: Array  # (3,) [m] lowest corner of the box of `bounds` around the shape
     upper: Array  # (3,) [m] highest corner of this box
 
+    @classmethod
+    def of(cls, geometry: coal.CollisionGeometry, placement: pin.SE3) -> ConvexPart:
+        """The part with one shape of coal, placed at `placement` in the base's frame."""
+        return cls(Shapes.of(geometry, placement), *bounds(geometry, placement))
+
 
 class MobileBody:
     """l_m: its convex `parts`; `lower` and `upper` (3,) [m] are corners of a box around them."""
@@ -37,8 +42,7 @@ class MobileBody:
         name = model.description.mobile_body.name
         # The frame of the planar joint of l_m, on the floor, is the base's frame.
         objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
-        placed = [(each.geometry, each.placement) for each in objects]
-        self.parts = [ConvexPart(Shapes.of(*each), *bounds(*each)) for each in placed]
+        self.parts = [ConvexPart.of(each.geometry, each.placement) for each in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
         self._shapes = Shapes.together([part.shapes for part in self.parts])

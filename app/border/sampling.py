@@ -68,9 +68,8 @@ def sample_clouds(
     """P_i of Algorithm 1 by the name of the pair, for `pairs` of arm and base: sampled points.
 
     The points are closest points on the arm's body, at most one per voxel. Random sampling alone
-    finds almost no points at the base's sides; therefore floods follow. A posture must satisfy the
-    joint limits, and its distance must be in the sampled range; collisions of other pairs are
-    allowed.
+    finds almost no points at the base's sides; therefore floods follow. The postures satisfy the
+    joint limits, with distances in the sampled range; collisions of other pairs are allowed.
 
     `progress` displays a progress bar on standard error. `on_progress` is called with the share of
     the work that is done, 0 to 1. `processes` is the number of parallel processes, by default one
