@@ -17,15 +17,12 @@ from app.strict import check_range
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
+_FIGURES = tyro.conf.arg(metavar="[FIGURE …]", help_behavior_hint="")
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
 
 
 def reproduce(
-    figures: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="[FIGURE …]", help_behavior_hint=""),
-    ] = (),
+    figures: Annotated[tuple[str, ...], tyro.conf.Positional, _FIGURES] = (),
     *,
     out: Path = Path("out/reproduction"),
     seed: int = 0,
@@ -78,7 +75,7 @@ def sweep(
 
     Args:
         out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed; with
-            --above, a PNG of the paths from above for each speed too.
+            --above, also a PNG of the vertical paths for each speed.
     """
     if "controllers" in plan:
         plan["controllers"] = [name for name in ",".join(plan["controllers"]).split(",") if name]

@@ -1,4 +1,4 @@
-"""Header and tab "Why": the cause of the robot's motion in a sentence, three rows, and details."""
+"""Header over the scene, and tab "Why": the cause of the robot's motion in words and numbers."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 
-UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack with which the task counts as met
+UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack of an end-effector's task that is met
 BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
@@ -29,8 +29,6 @@ _LEVELS: dict[tuple[LevelName, ...], tuple[str, str]] = {  # label and hint of a
 
 
 class WhyPanel(Panel):
-    """Tab "Why", and the header over the scene, which is visible with every tab."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui = self._gui
@@ -99,7 +97,7 @@ def details_html(snapshot: Snapshot) -> str:
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return the header as HTML: verdict, sentence, nearest pair, base speed, real-time factor."""
+    """Return the header as HTML: verdict, `sentence`, nearest pair, base speed and pace."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = distance_bar(pair.d, d_b, verdict.state)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
@@ -175,12 +173,13 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
         a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
         also = f" {b.capitalize()} and {a} are also pushed apart."
     if pair.above >= STEEP:  # base motion cannot help
-        least = millimetres(snapshot.config.barrier.d_min)
-        rest = f"; the arm itself comes no nearer than {least}"
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.limited:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
+        else:
+            least = millimetres(snapshot.config.barrier.d_min)
+            rest = f"; the arm itself comes no nearer than {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
     (x, y), (forward, left, _) = _total(why, "f", 2), planar(why.axes, snapshot.base_velocity)
@@ -193,11 +192,11 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     """Describe the controller "barrier": the text has the minimum distance, not d_b."""
     least = millimetres(snapshot.config.barrier.d_min)
-    pair = next((each for each in why.near if each.limited), pair)
-    cause = _cause(pair, why, None)
-    if not pair.limited:
+    limited = next((each for each in why.near if each.limited), None)
+    cause = _cause(limited or pair, why, None)
+    if limited is None:
         return f"{cause}; this method acts only near its minimum distance of {least}."
-    moves = _base_moves(snapshot, why, pair) or "the base stays where it is"
+    moves = _base_moves(snapshot, why, limited) or "the base stays where it is"
     effect = _task_effect(why, limited=True) + _off_target(snapshot)
     return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {effect}."
 
@@ -224,7 +223,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 
 
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
-    """Describe the effect on person or task; `limited`: the method itself resists the person."""
+    """Describe the effect on person or task; `limited`: the method always resists a person."""
     if why.mode == "guiding":
         if limited or any(pair.limited or links_repel(pair) for pair in why.near):
             return "the arm resists further guiding"
@@ -250,7 +249,7 @@ def _the(name: str, why: Explanation) -> str:
 
 
 def _force_rows(why: Explanation) -> list[str]:
-    """Return rows: the force's direction, its two parts and sum, and accelerations of the base."""
+    """Return rows: direction, two parts and sum of the force, and accelerations of the base."""
     n_b, f = len(why.axes), _total(why, "f", 2)
     away, turn = (
         (_total(why, part, 2), _total(why, f"{part}_acceleration", n_b))
