@@ -54,7 +54,7 @@ def print_json(result: object) -> None:
 
 
 def print_result(result: Mapping[str, Any], *, json: bool, indent: str = "") -> None:
-    """Print results: with `json` as one JSON object, otherwise one on each line after `indent`."""
+    """Print results: with `json` as one JSON object, otherwise as lines that `indent` precedes."""
     if json:
         print_json(result)
         return

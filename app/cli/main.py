@@ -54,7 +54,7 @@ def console() -> NoReturn:
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run a command line (default: `sys.argv[1:]`); print an error of input or system, and exit."""
+    """Run a command line, by default `sys.argv[1:]`; exit after an error, except after a defect."""
     open_standard_files()
     set_missing_folders()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's backend needs a library of the notebook
@@ -100,7 +100,7 @@ class _Plain(logging.Formatter):
 
 
 def _run(words: list[str]) -> None:
-    """Run a command without an import of the modules of other commands."""
+    """Run a command line without an import of the modules of other commands."""
     if not words:
         sys.stderr.write(overview())
         sys.exit(2)
@@ -129,7 +129,7 @@ def _run(words: list[str]) -> None:
 
 
 def _help_texts(doc: str) -> tuple[str, str]:
-    """`doc` with each argument's text on one line; its description, filled to the terminal's width.
+    """`doc` with each argument's text on one line; the text before the arguments, with line breaks.
 
     tyro joins lines that begin with a letter; therefore all lines after the first are indented.
     """

@@ -69,9 +69,10 @@ def sweep(
 
     There are three kinds of paths: horizontal paths to the middle of the base's bounding box,
     horizontal paths parallel to the wheel axis and, with --above, vertical paths down onto the
-    base. Each path starts outside all buffers, at --start-distance or, if the arm cannot reach it,
-    at another distance. A path without a start is listed as unreachable. At the start of a path
-    parallel to the wheel axis, x of the arm's closest point is 0, ±1, ±10 or ±50 mm (base's frame).
+    base. Each path starts outside all buffers, at --start-distance or, if the arm does not reach
+    this start, at another distance. The output lists a path without a start as unreachable. At the
+    start of a path parallel to the wheel axis, the arm's closest point has the x coordinate 0, ±1,
+    ±10 or ±50 mm in the base's frame.
 
     Args:
         out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed; with

@@ -120,12 +120,12 @@ def reach(
     R is computed for each position p of a lattice around the arm's mount. p is the position of a
     frame: for the body lEE, of the end-effector's frame; for another body, of the frame of the
     body's first shape. The pose of this frame has six coordinates if the joints can change six
-    independently, or else five (position, direction of the z axis), or else three (position). R is
-    the mean number of inverse kinematics solutions for the poses at p within the joint limits and
-    without self-collision, up to a constant factor. R is computed from random joint positions by
-    the area formula: it is the sum of |det J| over the joint positions that lead to a cell of the
-    lattice. J is the square Jacobian of the pose; it has no columns for redundant joints, as if
-    these were fixed at their random positions. Then the mean of R is computed in spherical shells
+    independently, or else five (position, direction of the z axis), or else three (position). R is,
+    up to a constant factor, the mean number of inverse kinematics solutions within the joint limits
+    and without self-collision for the poses at p. R is computed from random joint positions by the
+    area formula: it is the sum of |det J| over the joint positions that lead to the lattice's cell
+    at p. J is the square Jacobian of the pose; it has no columns for redundant joints, as if these
+    were fixed at their random positions. Then the mean of R is computed in spherical shells
     around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of
     these means is 100. The fit of (9) uses all positions in the best shell and, on both sides of
     it, in all shells before the first one with a mean below 5. The fitted A depends on the

@@ -231,7 +231,7 @@ def check_seed(seed: int) -> None:
 
 
 def check_processes(processes: int | None) -> int:
-    """The requested number of processes, or the default: two, or one on a single core."""
+    """The requested number of processes, 1 to 64, or the default: two, or one on a single core."""
     if processes is not None:
         check_range("--processes", processes, 1, 64)
     return processes or min(2, usable_cores())  # each further process needs 0.5 GB

@@ -103,7 +103,8 @@ class _First(NamedTuple):
         waiting: Child | None = None,
     ) -> ProcessLoop:
         """Begin the first robot's simulation in the process `waiting`, or another robot's in a new
-        process. Case or --start determine the first robot's start; another robot has its own one.
+        process. If the first robot has a case or --start, these determine its start; otherwise, the
+        start is `free_start`.
         """
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
@@ -122,16 +123,13 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
-    """Serve the dashboard until Ctrl-C; no variable holds the first robot, which can be freed."""
+    """Serve the dashboard until Ctrl-C; no variable here keeps a replaced robot in memory."""
     asked, server = first.asked, _opened(first)
     try:
         with suppress(KeyboardInterrupt):  # the regular end, as soon as the address is printed
             print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
             if not _is_loopback(asked.host):
-                say(
-                    f"other machines can reach {asked.host}, without a password: everyone there "
-                    "can watch and command the simulation"
-                )
+                say(f"everyone who can reach {asked.host} can move the robot: there is no password")
             server.run_forever()
     finally:
         server.stop()

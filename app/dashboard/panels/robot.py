@@ -156,8 +156,7 @@ class NewRobotPanel(Panel):
 
     def request(self) -> Request:
         """Return the request from all fields that apply; `ConfigError` if they are not valid."""
-        package = self._package
-        if package is None:
+        if (package := self._package) is None:
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
         value["out"] = new_folder(value["out"])

@@ -146,7 +146,7 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return a table of scores; ✓ marks the best of different values without contact or overlap."""
+    """Return a table of scores; ✓: best of robots without contact or overlap, if they differ."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (
@@ -178,7 +178,7 @@ def _distance(d: float) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """Return a line for each score: "With avoidance (dbb): no contact, smallest distance 72 mm"."""
+    """Return lines such as "With avoidance (dbb): no contact, smallest distance 72 mm", as HTML."""
     lines = (
         f"<b>{METHOD_WORDS[each.controller].capitalize()}</b> ({each.controller}): {each.text}"
         for each in scores
@@ -187,7 +187,7 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
-    """Return the preparation `busy`, else progress or result of the last scenario, if any."""
+    """Return as HTML the preparation `busy`, or else progress or result of the last scenario."""
     if busy:
         text = "The simulation continues after this."
         return markup.banner("notice", f"{words.sentence(busy)} …", text)

@@ -27,7 +27,7 @@ class TuningPanel(Panel):
         # Folder, reset button, title, and paths of the parameters of each section:
         self._folders: list[tuple[Any, Any, str, tuple[str, ...]]] = []
         acts = {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": self._reset}
-        hint = "Changing a parameter, loading and resetting are steps. All viewers share the steps."
+        hint = "A changed parameter, a loaded file or a reset is a step. All viewers share them."
         self.buttons("Changes", acts, hint)
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
         self.on_update(self._all, lambda _: self._show_advanced())
@@ -114,11 +114,10 @@ class ParameterWidget(Panel):
         self._tuning, self._title = viewer.shared.tuning, unbroken(about.title)
         gui, value, low, high = self._gui, self._tuning.config.value(path), about.low, about.high
         title, tip = self._title, f"{about.help} {about.allowed}"
-        self.handle: Any
         self.exponent: Any = None  # slider of the value's decimal logarithm
         if about.choices:
             look: Any = {"initial_value": str(value), "hint": about.help}
-            self.handle = gui.add_dropdown(title, about.choices, **look)
+            self.handle: Any = gui.add_dropdown(title, about.choices, **look)
         elif about.log:
             self.handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=tip)
             label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)

@@ -69,8 +69,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
 
 def details_html(snapshot: Snapshot) -> str:
     """Return tables, as HTML, of the quantities behind `sentence`, or a note if there are none."""
-    why = snapshot.explanation
-    if why is None:
+    if (why := snapshot.explanation) is None:
         return small("There are no details for this instant.")
     if (pair := why.bearing) is None:
         return small("Avoidance does not act: no link pair is inside its buffer.")
@@ -97,7 +96,7 @@ def details_html(snapshot: Snapshot) -> str:
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return the header as HTML: verdict, `sentence`, nearest pair, base speed and pace."""
+    """Return as HTML: verdict, `sentence`, nearest pair, base speed, real-time factor or pause."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = distance_bar(pair.d, d_b, verdict.state)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
@@ -113,7 +112,7 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
 
 
 def distance_bar(d: float, d_b: float, state: State) -> str:
-    """Return a bar for d [m] with a mark at d_b [m]; it is full from `BAR_RANGE` on or at d < 0."""
+    """Return a bar for d [m] with a mark at d_b [m]; it is full for d < 0 and d >= `BAR_RANGE`."""
     share = 1.0 if d < 0.0 else min(d / BAR_RANGE, 1.0)
     return bar(share, css(COLOURS[state]), min(d_b / BAR_RANGE, 1.0))
 
@@ -127,8 +126,7 @@ def state_chip(state: State, text: str = "") -> str:
 
 def sentence(snapshot: Snapshot) -> str:
     """Return the first reported contact, if any, and the cause of the robot's motion in words."""
-    why = snapshot.explanation
-    if why is None:
+    if (why := snapshot.explanation) is None:
         return "There is no explanation for this instant."
     touches = contacts(snapshot)
     first = f"{touches[0].capitalize()} touch{_more(touches)}. " if touches else ""
@@ -223,7 +221,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 
 
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
-    """Describe the effect on person or task; `limited`: the method always resists a person."""
+    """Describe the effect on person or task; `limited`: the arm certainly resists a person."""
     if why.mode == "guiding":
         if limited or any(pair.limited or links_repel(pair) for pair in why.near):
             return "the arm resists further guiding"
