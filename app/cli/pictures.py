@@ -154,14 +154,14 @@ def _film(
         model, data = common.load_robot_and_border(asked.robot)
         runs = [asked, *(asked._replace(controller=name) for name in beside)]
         found = [common.filmed(run, model, data, times) for run in runs]
-        scene = times, model, data.clouds, look, math.radians(how.orbit) / how.rate
+        scene, orbit = (times, model, data.clouds, look), math.radians(how.orbit) / how.rate
         if how.side_by_side:
             framed, robots = [*chain.from_iterable(found)], (*found[1:], found[0])
-            films = [film_pictures(browser, each, *scene, framed) for each in robots]
+            films = [film_pictures(browser, each, *scene, orbit, framed=framed) for each in robots]
             pictures = (side_by_side(each) for each in zip(*films, strict=True))
         else:
             shown = with_ghosts(found[0], found[1:])
-            films = [pictures := film_pictures(browser, shown, *scene)]
+            films = [pictures := film_pictures(browser, shown, *scene, orbit)]
         with progress_bar(out.name, len(times)) as on_progress, ExitStack() as stack:
             for each in films:
                 stack.enter_context(closing(each))
