@@ -19,8 +19,6 @@ from app.simulation.trace.trace import Recorder, Trace
 
 
 class RunResult(NamedTuple):
-    """The figures of merit and the trace of a run."""
-
     figures: dict[str, Any]  # scenario, robot and other data of the run, and its `metrics`
     trace: Trace
 
@@ -45,7 +43,6 @@ def steps_of(
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Generator[tuple[Session, Step], None, None]:
     """Execute the control steps of a run; yield each step with the session after the step.
-
     `on_progress` is called every 100 steps with the simulated time [s]. The session is closed after
     the last step, after an error, or when the iterator is closed. This raises the errors of
     `Scenario.setting`, `begin`, `Scenario.driver` and `Session.step`.
@@ -71,9 +68,9 @@ def run_from_spec(
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
 ) -> RunResult:
-    """Execute a run and compute its figures of merit; `on_progress` and errors as in `steps_of`.
-    `on_step` is called after each control step. With `drawn`, the trace has snapshots, which log
-    files and the player need.
+    """Execute a run and compute its figures of merit. `on_step` is called after each control step;
+    `on_progress` and the errors are as in `steps_of`. With `drawn`, the trace has snapshots, which
+    log files and the player need.
     """
     scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)

@@ -90,7 +90,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, adapted to the scenario; fails as `Session.configure`."""
+        """Use other parameters, adapted to the scenario; raises as `Session.configure`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
@@ -98,9 +98,9 @@ class Ensemble:
 
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
-        The robots start at the scenario's start while a scenario moves the robot, or the
-        end-effector holds a door; at all other times at the present posture, at rest. If they
-        cannot start there, this raises a DbbError before any change.
+        If a scenario moves the robot, or the end-effector still holds the door of a scenario, all
+        robots start at the start of this scenario, otherwise at the present posture, at rest. If
+        they cannot start there, this raises a DbbError before any change.
         """
         if not comparison.controllers:
             self.comparison = comparison
@@ -113,9 +113,7 @@ class Ensemble:
             self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot; a person at the end-effector ends the scenario's motion. If
-        `MAX_PULLS` other people already hold the robot, this raises a TargetError.
-        """
+        """As the command `Pull`; raises a TargetError if `MAX_PULLS` other people hold it."""
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
@@ -125,7 +123,6 @@ class Ensemble:
         self._holds[pull.who] = Hold(pull.who, target, pull.link, (x, y, z))
 
     def release(self, who: int) -> None:
-        """Let a person release the robot, if this person holds it."""
         self._holds.pop(who, None)
 
     def step(self) -> Step:
@@ -146,8 +143,9 @@ class Ensemble:
 
     def close(self) -> None:
         self._replace_ghosts([])
-        for session in {self._free, self.main}:
-            session.close()
+        self._free.close()
+        if self.main is not self._free:
+            self.main.close()
 
     def _let_go(self) -> None:
         self.ends = None
@@ -199,7 +197,8 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        continuing, former, self.ghosts = [g.session for g in ghosts], self.ghosts, ghosts
+        former, self.ghosts = self.ghosts, ghosts
+        continuing = [ghost.session for ghost in ghosts]
         for ghost in former:
             if ghost.session not in continuing:
                 ghost.session.close()
@@ -225,7 +224,7 @@ class Runner:
     def step(
         self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
     ) -> Step:
-        """Execute one `Session.step` with the scenario's input, the `holds` and any `forces`. If
+        """Execute one `Session.step` with the driver's input, the `holds` and any `forces`. If
         `scored`, the step counts in the score, unless the scenario's motion has ended.
         """
         lead = StepInput() if self._driver is None else self._driver(self.session)
@@ -249,7 +248,7 @@ class Runner:
         )
 
     def score(self) -> Score:
-        """The score of the steps in a comparison, until the end of the scenario's motion."""
+        """The score of all steps that count, as `step` defines it."""
         return self._score._replace(controller=self.session.controller.name)
 
     def _count(self, step: Step) -> None:

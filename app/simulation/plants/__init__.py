@@ -22,7 +22,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The plant with a present or former `name`, or the default; raises an UnknownNameError."""
+    """The present name of the plant `name`, or the default one; may raise an UnknownNameError."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name
@@ -31,8 +31,8 @@ def chosen_plant(name: str | None) -> str:
 def make_physics(
     kind: str | None, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
 ) -> Physics:
-    """Make the plant `kind`, or the default one, with steps of `dt` [s]. The robot is at rest in
-    its ready posture; its end-effector holds any `door`, also after each reset.
+    """Make the plant `kind`, by default `default_plant`, with steps of `dt` [s]. The robot is at
+    rest in its ready posture. The end-effector holds any `door`, also after each reset.
 
     Raises:
         UnknownNameError: The plant does not exist.
@@ -66,7 +66,5 @@ def make_physics(
     from app.simulation.plants.kinematic import Kinematic
 
     if door is not None:
-        raise ConfigError(
-            "the plant kinematic has no door; choose planar, mujoco or mujoco-contact"
-        )
+        raise ConfigError("kinematic has no door; choose planar, mujoco or mujoco-contact")
     return Kinematic(model, dt=dt)

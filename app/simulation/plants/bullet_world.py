@@ -98,7 +98,6 @@ class BulletWorld:
         pybullet raises an AssetError; a missing pybullet raises a ConfigError.
         """
         self.client = client = Client()
-        self.close = client.close  # ends the client; a second call has no effect
         # pybullet caches a file by its descriptor, which the system can give to a later file.
         client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
@@ -155,7 +154,6 @@ class BulletWorld:
             self._contact_of[body_b, body_a, link_b, link_a] = group
 
     def contacts(self) -> Contacts:
-        """Contacts in the last step."""
         found = self.client.getContactPoints(self.robot)
         # without a gap [m], or with a force [N]
         groups = (self._contact_of.get(c[1:5]) for c in found if c[8] <= 0 or c[9] > 0)
@@ -183,11 +181,13 @@ class BulletWorld:
         else:
             self.client.restoreState(self._at_load)
 
+    def close(self) -> None:
+        """End the client; a second call has no effect."""
+        self.client.close()
+
 
 class BulletRobot(BulletWorld):
-    """A robot whose positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world,
-    then of the arm's joints; `door` is as in `Physics`.
-    """
+    """A robot with positions q and velocities v (3 + n_m,): x, y, yaw, then the arm's joints."""
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
         """Load the robot; a missing mesh, or an error of pybullet, raises an AssetError."""
@@ -195,7 +195,7 @@ class BulletRobot(BulletWorld):
         super().__init__(_plant_urdf(description), dt)
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
-        # Indices ascend: pybullet numbers a joint before the joints that it moves.
+        # These indices ascend: pybullet numbers a joint before the joints that it moves.
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
@@ -224,7 +224,7 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """`Physics.step` with the commanded `speeds` (3,) [m/s, m/s, rad/s] of x, y and yaw."""
+        """As `Physics.step`; `speeds` (3,) [m/s, m/s, rad/s] command x, y and yaw in the world."""
         self._control(
             self._planar, pybullet.VELOCITY_CONTROL, targetVelocities=speeds, forces=self._limits
         )
@@ -292,11 +292,14 @@ class BulletDoor(HeldDoor):
         client.resetJointState(self.body, _DOOR, -self.door.side * self._start, 0.0)
         T_ee = self._tip_pose()
         links = (self._robot, self._tip), (self.body, _DOOR)
-        # A constraint's frames are relative to the frames of the links' centres of mass.
-        poses = [self._link_pose(*link, 0).inverse() * T_ee for link in links]
-        places, turns = zip(*(np.split(pin.SE3ToXYZQUAT(T), [3]) for T in poses), strict=True)
+        frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
         self._grasp = client.createConstraint(
-            *links[0], *links[1], pybullet.JOINT_FIXED, [0, 0, 0], *places, *turns
+            *links[0],
+            *links[1],
+            pybullet.JOINT_FIXED,
+            [0, 0, 0],
+            *(frame[:3].tolist() for frame in frames),
+            *(frame[3:].tolist() for frame in frames),
         )
         client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
@@ -311,13 +314,14 @@ class BulletDoor(HeldDoor):
         R = self._tip_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
-    def _link_pose(self, body: int, link: int, field: int) -> pin.SE3:
-        """Pose of a link's centre of mass (`field` 0) or of its frame (`field` 4), in the world."""
+    def _com_pose(self, body: int, link: int) -> pin.SE3:
+        """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""
         state = self._client.getLinkState(body, link, computeForwardKinematics=1)
-        return pin.XYZQUATToSE3([*state[field], *state[field + 1]])
+        return pin.XYZQUATToSE3([*state[0], *state[1]])
 
     def _tip_pose(self) -> pin.SE3:
-        return self._link_pose(self._robot, self._tip, 4) * self._T_link_ee
+        state = self._client.getLinkState(self._robot, self._tip, computeForwardKinematics=1)
+        return pin.XYZQUATToSE3([*state[4], *state[5]]) * self._T_link_ee
 
 
 def _plant_urdf(description: RobotDescription) -> str:

@@ -1,9 +1,10 @@
 """The high-fidelity plant: MuJoCo with wheels that roll and slip, and a free base that can tip.
 
-All wheels are driven, and have the same friction along and across. Wheels on several axles carry a
-skid-steer base; a turn on the spot at the start calibrates its drive, because the effective track
-depends on the load of each wheel. A base with all wheels on one axle also stands on frictionless,
-slightly soft casters: the spheres at the floor in the URDF, or one at each corner of the base.
+All wheels are driven, and have the same friction along and across. A base with wheels on several
+axles is skid-steered; a turn on the spot at the start calibrates its drive, because the effective
+track depends on the load of each wheel. A base with all wheels on one axle also stands on casters,
+which are frictionless and slightly soft: the spheres at the floor in the URDF, or, without them,
+one at each corner of the base.
 """
 
 import math
@@ -50,7 +51,7 @@ _TURN_RATE = 0.4  # [rad/s] commanded rate of the calibrating turn
 
 
 class Wheels:
-    """The driven wheels in the frame of the root, which is on the floor."""
+    """The driven wheels in the frame of the root link; the origin of this frame is on the floor."""
 
     def __init__(self, model: RobotModel) -> None:
         """Read the wheels from the URDF; if the description names none, assume one on each side."""
@@ -160,7 +161,7 @@ class MujocoWheels(Physics):
         self._rolling = np.array([right if is_right else left for is_right in self.wheels.right])
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Execute steps with a fixed arm and wheel speeds (n,) [rad/s]; return ω of each step."""
+        """Execute steps with a fixed arm and constant wheel speeds (n,) [rad/s]; return each ω."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN
@@ -196,7 +197,7 @@ def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> Non
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
     """Add casters, if needed; let the base's higher shapes touch the floor, if the base tips."""
-    casters: list[Array] = []  # horizontal position, and radius, which is the centre's height
+    casters: list[Array] = []  # (3,) [m] centre of each; its height is the radius
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:
             continue

@@ -75,7 +75,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """`config` with the values that this scenario requires; the loop adapts changes, too."""
+        """`config` with the values that this scenario requires, also for changes during a run."""
         return config
 
     @abstractmethod

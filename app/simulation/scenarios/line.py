@@ -109,8 +109,10 @@ class LineScenario(Scenario):
     def driver(self, session: Session) -> Driver:
         orientation = session.T_world_ee.rotation.copy()
         if self.mode == "tracking":
-            return lambda now: StepInput(reference=self.reference(now.t, orientation))
-        return lambda now: StepInput(pull=self.place(now.t) if self.holds(now.t) else None)
+            return lambda session: StepInput(reference=self.reference(session.t, orientation))
+        return lambda session: StepInput(
+            pull=self.place(session.t) if self.holds(session.t) else None
+        )
 
     def place(self, t: float) -> Array:
         """(3,) [m] target of the end-effector at time t [s], in the world."""

@@ -31,7 +31,6 @@ _RANGES = {
     "radial_guess": (-60.0, 60.0, "deg"),
     "opening_rate": (0.5, 6.0, "deg/s"),
 }
-
 _FIRMNESS = {
     "task.posture_stiffness": 100.0,  # [1/s²]
     "task.posture_damping": 20.0,  # [1/s]
