@@ -69,9 +69,8 @@ class People:
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
         """The pull of each person in one control step, and the forces of all on the robot. `holds`
-        has at most one hold of each person; a person without a hold releases the robot. If a person
-        holds another point than before, the new hold starts with an unstretched spring. An invalid
-        target raises a TargetError.
+        has at most one hold of each person; a person without a hold releases the robot. A hold at a
+        new point starts with an unstretched spring. An invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
@@ -93,7 +92,6 @@ class People:
 
 class PersonHand:
     """A person's hand during one hold of a point of the robot, at p_ee with velocity v_ee.
-
     A hand without a mass exerts F = K (p - p_ee) - D v_ee on the held point, limited to f_max. p,
     the free end of the hand's spring, starts at p_ee and moves towards the latest target as a
     critically damped point with limited speed, so F has no steps. If the hand has a mass, F moves
@@ -185,7 +183,6 @@ def _push_mass(
     x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
     """Move the mass m of the hand, `x` and `x_dot`, by one implicit Euler step of m ẍ = F - G.
-
     F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x; G = k (x - p_ee) + c (ẋ - v_ee)
     is the grip's force on the robot, written to `force`. Both forces are those at the end of the
     step, for a held point with constant velocity. K' and k in series have the stiffness K of
@@ -211,7 +208,6 @@ def _pull(
     motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
     """Move the hand for one step, and write its force (3,) [N] on the held point to `force`.
-
     The free end p of the spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed. `motion`
     (4, 3), changed in place, has the rows p [m], ṗ [m/s], and the mass's x [m] and ẋ [m/s]. Before
     the first step it is NaN; without a mass, x remains NaN. `spring` (5,) is K [N/m], D [N s/m],

@@ -16,7 +16,6 @@ from app.simulation.session import DT
 from app.strict import Array
 
 Rgba = tuple[float, float, float, float]
-
 _FINER = 2  # [-] rendered pixels per pixel of the picture, along width and height
 _NEAR, _FAR = 0.1, 30.0  # [m] smallest and largest drawn distance from the camera
 _LIGHT = (2.0, -2.5, 5.0)  # [m] vector to the light at yaw 0; it turns with the camera's yaw
@@ -66,9 +65,7 @@ class Camera(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """An additional body in the picture."""
-
-    mesh: trimesh.Trimesh  # surface of the body, in the world
+    mesh: trimesh.Trimesh  # surface of an additional body in the picture, in the world
     rgba: Rgba
 
 

@@ -26,9 +26,7 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting; `robot` is the robot without a held door. This
-    raises a TargetError if the posture is invalid, and the errors of `Session`.
-    """
+    """A session at a setting; `robot` has no held door. Raises as `Session` and `Session.reset`."""
     model, data, base_pose, q_m, config, door = setting
     check_posture(model, q_m)  # before the plant loads
     session = Session(model, data, config, controller, physics, seed, plant=robot, door=door)

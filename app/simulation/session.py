@@ -319,7 +319,6 @@ class Disturbances:
 
 class VelocityTracking:
     """Velocities from positions: a tracking loop, as in the electronics of encoders.
-
     The transfer function from q to v̂ is ω² s / (s + ω)², discretised with exact poles: constant
     velocities are exact, and changes have a delay of about 2/ω = 8 ms. Position noise with the
     standard deviation σ causes velocity noise of about σ √(ω³ dt) / 2, 62 σ/s at 1 kHz.

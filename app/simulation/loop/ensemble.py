@@ -68,13 +68,11 @@ class Ensemble:
         """Case of the scenario that started in the last simulated second, or None."""
         return self._case if self.main.t < _SAID else None
 
-    def reset(
-        self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> None:
+    def reset(self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0, 0, 0)) -> None:
         """Start again, as the command `Reset`; a DbbError leaves the present run unchanged."""
         begun = self._start
         if q_m:
-            begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
+            begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose, float))
         self._enter(begun, None)
         self._begun = begun
 
@@ -118,7 +116,7 @@ class Ensemble:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
             self._let_go()
-        x, y, z = map(float, pull.point or (0.0, 0.0, 0.0))
+        x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
         target = np.array(pull.target, dtype=float)
         self._holds[pull.who] = Hold(pull.who, target, pull.link, (x, y, z))
 
@@ -131,9 +129,8 @@ class Ensemble:
             self._let_go()
         holds = tuple(self._holds.values())
         step = self._led.step(holds, scored=bool(self.ghosts))
-        same_force = self.comparison.same == "force"
         for ghost in self.ghosts:
-            ghost.step(holds, step.person if same_force else None)
+            ghost.step(holds, step.person if self.comparison.same == "force" else None)
         return step
 
     def scores(self) -> tuple[Score, ...]:

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from app.simulation.plants.interface import Physics
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
+PYBULLET_MISSING = (
+    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
+    "Python (docs/install.md)"
+)
 _FORMERLY = {"contact": "mujoco-contact"}
 
 
@@ -41,11 +45,10 @@ def make_physics(
         RobotFileError: With MuJoCo, the meshes exceed the limits of `collision_shapes`.
     """
     kind = chosen_plant(kind)
-    # Imported here, because each plant must work without the libraries of the other plants.
     if kind == "planar" and not find_spec("pybullet"):
-        from app.simulation.plants.interface import MISSING
-
-        raise ConfigError(f"the plant planar {MISSING}; --physics mujoco works without pybullet")
+        why = f"the plant planar {PYBULLET_MISSING}"
+        raise ConfigError(f"{why}; --physics mujoco works without pybullet")
+    # Imported here, because each plant must work without the libraries of the other plants.
     if kind in ("planar", "mujoco"):
         from app.simulation.plants.planar import Planar
 

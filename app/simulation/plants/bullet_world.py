@@ -22,9 +22,10 @@ from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.urdf import origin
+from app.simulation.plants import PYBULLET_MISSING
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs, link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor, T_link_ee
-from app.simulation.plants.interface import GRAVITY, MISSING, Contacts, HeldDoor, Push, Wrench
+from app.simulation.plants.interface import GRAVITY, Contacts, HeldDoor, Push, Wrench
 from app.strict import Array
 from app.system import decimal_points, flush_c_output
 
@@ -54,7 +55,7 @@ class _MissingPybullet:
     """A substitute for pybullet if pybullet is not installed: each use raises an error."""
 
     def __getattr__(self, name: str) -> Any:
-        raise ConfigError(f"this {MISSING}")
+        raise ConfigError(f"this {PYBULLET_MISSING}")
 
 
 if TYPE_CHECKING:

@@ -164,8 +164,7 @@ def with_door(
     """Model and data of a robot whose last body is a held door (Figure 16b); ⟨l_m, door⟩ is in L_m.
     `T_ee_door` is the constant pose of the door in the end-effector's frame. The door gets the
     reachability coefficients of the last body that has any; if no body has any, this raises a
-    DescriptionError. The border of ⟨l_m, door⟩ has no samples: acting points are on the exact
-    offset surface of l_m.
+    DescriptionError. The pair's acting points are on the exact offset surface of l_m, not samples.
     """
     description = model.description
     link = description.arm.end_effector_link

@@ -14,10 +14,6 @@ from app.simulation.plants.door import Door
 from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
-MISSING = (
-    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
-    "Python (docs/install.md)"
-)
 
 
 class Contacts(NamedTuple):
@@ -40,9 +36,7 @@ class Wrench(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A force on a point of the arm."""
-
-    joint: str  # name of the joint that carries the point
+    joint: str  # name of the joint of the arm that carries the point
     p: Array  # (3,) [m] the point in the joint's frame
     force: Array  # (3,) [N] in the world
 

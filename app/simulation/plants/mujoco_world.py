@@ -235,7 +235,7 @@ def _quaternion(R: Array) -> Array:
 
 
 class MujocoWorld:
-    """A compiled `RobotSpec`; for a robot on planar joints, it can replace a `BulletRobot`."""
+    """A compiled `RobotSpec`; with planar joints, it has the methods of a `BulletRobot`."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""
@@ -264,14 +264,12 @@ class MujocoWorld:
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
-        """Put the robot at rest at q, as `BulletRobot.reset`."""
         self.rewind()
         self._planar_q[:] = q
         if self.door is not None:
             self.door.take_hold(self)
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Copies of the positions and velocities, as `BulletRobot.read`."""
         base_q, base_v, q_m, qd_m = self._read
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
@@ -320,7 +318,6 @@ class MujocoWorld:
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
     def depths(self) -> dict[str, float]:
-        """[m] as `BulletWorld.depths`."""
         deepest: dict[str, float] = {}
         contacts = self.data.contact
         for (a, b), distance in zip(contacts.geom.tolist(), contacts.dist, strict=True):
@@ -329,7 +326,6 @@ class MujocoWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] as `BulletWorld.seen`."""
         mujoco.mj_kinematics(self.model, self.data)
         found, hit = np.full(len(begins), np.inf), np.zeros(1, np.int32)
         for i, (begin, way) in enumerate(zip(begins, ends - begins, strict=True)):

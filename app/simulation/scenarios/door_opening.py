@@ -46,7 +46,6 @@ def radial_update(
     regulated: float, progress: float, sense: float, gains: DoorOpeningGains
 ) -> float:
     """Rotation rate [rad/s] of the estimated radial direction about the vertical.
-
     If the estimated tangent t̂ deviates by the angle e from the true one, the door stops the radial
     part of the motion along t̂. In the steady state at full speed, the force's PI regulator
     R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N], with the radial force f_r, satisfies
@@ -58,7 +57,6 @@ def radial_update(
 
 def curvature_update(torque: float, progress: float, gains: DoorOpeningGains) -> float:
     """Rate of change [rad/(m s)] of the estimated curvature κ = ω/v of the end-effector's path.
-
     If the estimate κ̂ is wrong, the end-effector twists the door: (κ̂ - κ) v_d = α_τ τ_z in the
     steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d. `torque` is τ_z [N m], the torque on the
     door about the vertical; `progress` is v/v_d, as in `radial_update`.

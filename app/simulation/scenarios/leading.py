@@ -39,8 +39,6 @@ Driver = Callable[["Session"], StepInput]  # computes the input of the next cont
 
 
 class Setting(NamedTuple):
-    """The start of a run."""
-
     model: RobotModel  # model of the controller
     data: BorderData  # link pairs and border clouds of the model
     base_pose: Array  # (3,) x, y [m] and heading [rad] of the base

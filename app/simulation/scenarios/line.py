@@ -117,9 +117,7 @@ class LineScenario(Scenario):
     def place(self, t: float) -> Array:
         """(3,) [m] target of the end-effector at time t [s], in the world."""
         s = self._passed(t)
-        share = s * s * (3 - 2 * s)
-        (x, y, z), (to_x, to_y, to_z) = self.start, self.move
-        return np.array([x + share * to_x, y + share * to_y, z + share * to_z])
+        return np.array(self.start) + s * s * (3 - 2 * s) * np.array(self.move)
 
     def holds(self, t: float) -> bool:
         """Whether the person holds the end-effector at time t [s]."""
@@ -160,7 +158,6 @@ class StartedLine(LineScenario):
         return np.array(self.q_m)
 
 
-# the template of the cases of a study
-RANDOM_PULL = StartedLine(
+RANDOM_PULL = StartedLine(  # the template of the cases of a study
     "random-pull", 8.0, "a random pull of a study", "guiding", (0, 0, 0), (0, 0, 0), 1.0, ()
 )

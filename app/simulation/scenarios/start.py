@@ -38,7 +38,6 @@ _UPRIGHT = 0.94  # [-] smallest z component of an upright axis: a tilt of 20 deg
 _WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm, 1 mrad
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
 _CACHED = 100  # largest number of cached starts of a robot
-
 _ROLLS = np.radians([0.0, 90.0, 180.0, -90.0])  # [rad] of the end-effector about its z axis
 _ROLL_SEEDS = 80  # starting points of the search for each roll
 _GRASP_TOLERANCE = 1e-4  # [m] and [rad] tolerance of the grasp
@@ -48,12 +47,10 @@ _MAX_INSIDE = 0.07  # [m] largest depth of a pair in its buffer on the path
 _AHEAD = np.radians(np.arange(3, 94, 3))  # [rad] further door angles that are checked
 _CORRECTIONS = 4  # [-] Newton steps for each door angle
 _TO_START = 0.5  # [-] share of the return to the starting posture in each step
-
 OUT_OF_REACH = "out of the arm's reach"  # the reason if the end-effector misses its position
 
 Judge = Callable[[Array], float | str]
-"""Quality [-] of a posture (n_m,), above zero if it is valid; otherwise at most zero, or the reason
-why it is invalid."""
+"""Quality [-] of a posture (n_m,), above zero if it is valid; or the reason why it is invalid."""
 
 
 class Target(NamedTuple):
