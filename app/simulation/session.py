@@ -266,7 +266,7 @@ class Disturbances:
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Use these disturbances from now on; during a longer delay, the oldest signals repeat."""
+        """Use these disturbances from now on; if a delay grows, the oldest known signal repeats."""
         self._config = config
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)

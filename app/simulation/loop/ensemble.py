@@ -111,7 +111,7 @@ class Ensemble:
             self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """As the command `Pull`; raises a TargetError if `MAX_PULLS` other people hold it."""
+        """As the command `Pull`; raises a TargetError if `MAX_PULLS` others hold the robot."""
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
@@ -245,7 +245,7 @@ class Runner:
         )
 
     def score(self) -> Score:
-        """The score of all steps that count, as `step` defines it."""
+        """The score of all steps that count (see `step`)."""
         return self._score._replace(controller=self.session.controller.name)
 
     def _count(self, step: Step) -> None:

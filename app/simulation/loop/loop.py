@@ -51,7 +51,7 @@ class LoopHandle:
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat; a `Snapshot.busy` operation is not silence."""
+        """[s] time since the last heartbeat; short also while `Snapshot.busy` has a text."""
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:

@@ -26,7 +26,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of the plant `name`, or the default one; may raise an UnknownNameError."""
+    """The present name of a plant (`name` None: the default); raises an UnknownNameError."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name

@@ -340,7 +340,7 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links on fixed joints into their parents: pybullet loads at most 128 links."""
+    """Merge links on fixed joints into parents with equal contacts: pybullet loads 128 links."""
     nested = description.nested
     touched = {
         link: (body.name, {pair - {link} for pair in nested if link in pair})

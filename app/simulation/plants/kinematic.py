@@ -76,7 +76,7 @@ class Kinematic(Physics):
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))
 
     def _move_arm(self, A: Array, b: Array) -> None:
-        """Integrate A q̈_a = b over one step; A (n_m, n_m) and b (n_m,) are overwritten."""
+        """Integrate A q̈_a = b over one step within the joints' limits; A and b are overwritten."""
         q, qd, dt = self._q, self._qd, self.dt
         lower, upper = self._model.q_lower, self._model.q_upper
         if not math.isfinite(b.sum() + A.sum()):  # `solve` would raise an error

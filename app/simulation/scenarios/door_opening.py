@@ -125,7 +125,7 @@ class DoorOpening:
         return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
 
     def _desired_speed(self, force: Array, turned: float) -> float:
-        """[m/s] speed: v_d, reduced at the start, if the door resists, and near `turn`."""
+        """[m/s] v_d, reduced at the start, if the door resists, and near the rotation `turn`."""
         gains = self._gains
         left = (gains.turn - turned) / gains.braking
         begun = min(self._t / gains.ramp, 1.0)

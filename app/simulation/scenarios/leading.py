@@ -73,12 +73,12 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """`config` with the values that this scenario requires, also for changes during a run."""
+        """`config` with the values that this scenario requires; also adapts changes in a run."""
         return config
 
     @abstractmethod
     def driver(self, session: Session) -> Driver:
-        """Make the driver for a session at its start; only a scenario with a door can fail here."""
+        """Make the driver for a session at its start; without a door, this raises no error."""
 
     def changed(self, **changes: Any) -> Self:
         """A copy with these `changes`, except None; an invalid one raises a ConfigError."""

@@ -206,9 +206,9 @@ class PostureSearch:
 class StartSolver(PostureSearch):
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
     The end-effector points away from the arm's mount and, without a path, downwards if possible. An
-    arm that cannot choose this direction freely may use any direction if no such posture follows
-    the whole path. Every pair is outside its buffer, the arm is above the floor, and each joint is
-    away from its position limits.
+    arm that cannot choose this direction freely may use any direction if no such posture exists, or
+    none follows the whole path. Every pair is outside its buffer, the arm is above the floor, and
+    each joint is away from its position limits.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:

@@ -84,7 +84,7 @@ def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
     """1 for a valid start, otherwise 0. Pair i must be the nearest, at a distance in the range
-    `depth` [m], the arm off the floor, and `above` the base (True) or beside it (False).
+    `depth` [m], the arm off the floor, and `above` the base (True), beside (False) or any (None).
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]
