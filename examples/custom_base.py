@@ -15,7 +15,7 @@ from app.simulation.scenarios import LINES
 
 
 class RailBase(BaseKind):
-    """A base with one velocity, v, and a measure of 1, so that the score (10) is reachability."""
+    """A base with one velocity, v. Its measure is 1, so that the score (10) is the reachability."""
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD,)
     kind: Literal["rail"]

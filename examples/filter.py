@@ -14,7 +14,7 @@ PULL = np.array([-10.0, 0.0, 0.0])  # [N] of a person on the end-effector
 
 
 def main(duration: float = 2.0) -> tuple[float, float]:
-    """Run for some simulated seconds with a person who pulls.
+    """Simulate `duration` [s] with a person who pulls the end-effector.
 
     Returns:
         The standard deviations [rad/s] of the errors of the joint velocities: of those by the

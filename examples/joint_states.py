@@ -15,7 +15,7 @@ PULL = np.array([-8.0, 0.0, 0.0])  # [N] of a person on the end-effector
 
 
 def main(duration: float = 1.0) -> tuple[str, ...]:
-    """Run for some simulated seconds; returns the names of all faults of the readings."""
+    """Simulate `duration` [s]; returns the names of all faults of the readings."""
     model = RobotModel(load_robot("husky_panda"))
     loop, robot = ControlLoop(model, dt=DT), make_physics("kinematic", model, dt=DT)
     names = ["gripper", *sorted(model.description.arm.joints, reverse=True)]

@@ -17,7 +17,7 @@ def main() -> tuple[float, float]:
     """Hang a load on a guided arm that nobody holds; set `payload.mass` when the loop reports it.
 
     Returns:
-        The estimated load [kg], and the speed [m/s] of the end-effector at the end.
+        The reported load [kg], 0 without a report, and the final speed [m/s] of the end-effector.
     """
     model = RobotModel(load_robot("husky_panda"))
     loop, robot, found = ControlLoop(model), make_physics("kinematic", model), 0.0

@@ -15,7 +15,7 @@ PULL = np.array([-12.0, 0.0, 0.0])  # [N] of the person, in the world
 
 
 def main(duration: float = 2.0) -> float:
-    """Run for some simulated seconds; returns the base's displacement [m], positive forwards."""
+    """Simulate `duration` [s]; returns the base's displacement [m], positive forwards."""
     model, config = RobotModel(load_robot("husky_panda")), Config()
     data = load_border_data(model)  # pairs and border: from the cache, or sampled once
     loop = ControlLoop(model, data, config)

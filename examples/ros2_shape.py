@@ -27,7 +27,7 @@ class AvoidanceNode:
         ros.timer(0.1, self.drive)
 
     def control(self) -> None:
-        """One control step, once both sensors have sent a message."""
+        """Execute a control step if each of the two topics has had a message."""
         if (arm := self.joints) and (base := self.odom):
             readings = base.pose, base.velocity, arm.position, arm.velocity
             measured = Measurement(*readings, (), self.now(), arm.stamp, base.stamp)

@@ -15,7 +15,7 @@ STILL = np.zeros(6)  # velocity and acceleration of a target at rest
 
 
 def main(duration: float = 4.0) -> float:
-    """Run for some simulated seconds; returns the final error of the end-effector [m]."""
+    """Simulate `duration` [s]; returns the final position error [m] of the end-effector."""
     model = RobotModel(load_robot("husky_panda"))
     loop, robot = ControlLoop(model), make_physics("kinematic", model)
     loop.step(robot.measure())

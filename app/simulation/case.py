@@ -52,7 +52,7 @@ class RunCase(Strict):
     @model_validator(mode="before")
     @classmethod
     def _drop_figures(cls, data: Any) -> Any:
-        """Drop the results of the run, which earlier versions wrote."""
+        """Drop the entry `figures`, the results of the run: earlier versions wrote it."""
         return {k: v for k, v in data.items() if k != "figures"} if isinstance(data, dict) else data
 
     @field_validator("parameters")
@@ -62,7 +62,6 @@ class RunCase(Strict):
 
     @classmethod
     def of(cls, run: RunSpec) -> Self:
-        """The case of a run."""
         return cls(
             robot=run.robot,
             played=run.scenario.name,
@@ -91,15 +90,16 @@ class RunCase(Strict):
         return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
-        """The defaults, with the case's known parameters; an invalid value raises a ConfigError."""
+        """The defaults, changed by the case's known parameters; may raise a ConfigError."""
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """A line if another version wrote the case, and one per unknown or missing parameter."""
+        """Texts: one if another version wrote the case, one per unknown or missing parameter."""
         now, known, own = version("dbb-mobile-manipulator"), tunables(), self.parameters
-        changed = f"dbb {self.version} wrote the case; this is dbb {now}"
-        lines = [changed] if self.version != now else []
+        lines = []
+        if self.version != now:
+            lines.append(f"dbb {self.version} wrote the case; this is dbb {now}")
         for path in sorted(own.keys() - known.keys()):
             lines.append(f"the parameter {path} no longer exists; its value was {own[path]}")
         for path in sorted(known.keys() - own.keys()):
@@ -108,7 +108,6 @@ class RunCase(Strict):
         return lines
 
     def text(self) -> str:
-        """The text of the file."""
         return json.dumps(self.model_dump(mode="json"), indent=1) + "\n"
 
     @classmethod
@@ -146,7 +145,6 @@ def read_case(path: Path) -> RunCase:
 @cache
 def _options_of(kind: type[Scenario]) -> type[Strict]:
     """A pydantic model with the fields of a scenario class, each None by default."""
-    options: dict[str, Any] = {
-        name: (hint | None, None) for name, hint in get_type_hints(kind).items()
-    }
+    hints = get_type_hints(kind).items()
+    options: dict[str, Any] = {name: (hint | None, None) for name, hint in hints}
     return create_model(kind.__name__, __base__=Strict, **options)

@@ -68,9 +68,9 @@ class People:
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
-        """The pull of each person in one control step, and their forces on the robot. `holds` has
-        at most one hold of each person; a person without a hold releases the robot. The spring
-        of a hold at a new point starts without force. An invalid target raises a TargetError.
+        """The pull of each person in one control step, and the forces of all on the robot. `holds`
+        has at most one hold of each person; a person without a hold releases the robot. A hold at a
+        new point starts with an unstretched spring. An invalid target raises a TargetError.
         """
         hands, readings, pushes, total = {}, [], [], np.zeros(3)
         for who, target, link, point in holds:
@@ -92,13 +92,12 @@ class People:
 
 class PersonHand:
     """A person's hand during one hold of a point of the robot, at p_ee with velocity v_ee.
-
     A hand without a mass exerts F = K (p - p_ee) - D v_ee on the held point, limited to f_max. p,
     the free end of the hand's spring, starts at p_ee and moves towards the latest target as a
     critically damped point with limited speed, so F has no steps. If the hand has a mass, F moves
     the mass, and the robot receives the force of the grip, a spring and a damper between mass and
     robot. While the robot stops the mass, the grip's force exceeds F, and can exceed f_max. While p
-    rests, each hand only absorbs energy.
+    rests, the hand only absorbs energy, with or without a mass.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
@@ -113,9 +112,9 @@ class PersonHand:
         self._spring = np.array([*spring, self._dt])
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
-        """Compute the person's force (3,) [N] on the held point for one step, in the world. `p_ee`
-        (3,) [m], `v_ee` (at least 3,) [m/s] and `target` (3,) [m] are position, velocity and target
-        of the point. An invalid target raises a TargetError.
+        """Compute the person's force (3,) [N] on the held point for one step, in the world. The
+        point is at `p_ee` (3,) [m], its velocity [m/s] is in the first three entries of `v_ee`, and
+        its target is `target` (3,) [m]. An invalid target raises a TargetError.
         """
         force = np.empty(3)
         _pull_once(self.motion, checked_target(target), p_ee, v_ee, self._spring, force)
@@ -136,7 +135,7 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 
 def checked_target(target: Sequence[float] | Array) -> Array:
     """A person's target in the world as an array (3,) [m]. A target that is not three finite
-    numbers, is below the floor, or is beyond ±10 km raises a TargetError.
+    numbers, is below the floor, or has a coordinate beyond ±10 km raises a TargetError.
     """
     place = _finite(target, "the hand's target")
     x, y, z = place.tolist()
@@ -153,8 +152,9 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
     """
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
-        far = f"is farther than {_LINK_SIZE:g} m from its link's origin"
-        raise TargetError(f"the held point {far}: {point!r}")
+        raise TargetError(
+            f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
+        )
     return place
 
 
@@ -183,11 +183,10 @@ def _push_mass(
     x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
     """Move the mass m of the hand, `x` and `x_dot`, by one implicit Euler step of m ẍ = F - G.
-
     F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x; G = k (x - p_ee) + c (ẋ - v_ee)
-    is the grip's force on the robot, written to `force`. Both are those at the end of the step, for
-    a held point with constant velocity. K' and k in series have the stiffness K of `PersonHand`.
-    The rule is stable for every mass, spring and damper.
+    is the grip's force on the robot, written to `force`. Both forces are those at the end of the
+    step, for a held point with constant velocity. K' and k in series have the stiffness K of
+    `PersonHand`. The rule is stable for every mass, spring and damper.
     """
     stiffness, damping, f_max, mass, dt = spring
     K = stiffness * _GRIP / (_GRIP - stiffness)
@@ -209,11 +208,10 @@ def _pull(
     motion: Array, target: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
     """Move the hand for one step, and write its force (3,) [N] on the held point to `force`.
-
     The free end p of the spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed. `motion`
-    (4, 3), changed in place, is p [m], ṗ [m/s], x [m] and ẋ [m/s] of the mass; before the first
-    step all are NaN, without a mass x remains NaN. `spring` (5,) is K [N/m], D [N s/m], f_max [N],
-    the mass [kg] and the step [s].
+    (4, 3), changed in place, has the rows p [m], ṗ [m/s], and the mass's x [m] and ẋ [m/s]. Before
+    the first step it is NaN; without a mass, x remains NaN. `spring` (5,) is K [N/m], D [N s/m],
+    f_max [N], the mass [kg] and the step [s].
     """
     p, v, x, x_dot = motion
     stiffness, damping, f_max, mass, dt = spring

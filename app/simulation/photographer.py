@@ -16,15 +16,12 @@ from app.simulation.session import DT
 from app.strict import Array
 
 Rgba = tuple[float, float, float, float]
-
 _FINER = 2  # [-] rendered pixels per pixel of the picture, along width and height
 _NEAR, _FAR = 0.1, 30.0  # [m] smallest and largest drawn distance from the camera
 _LIGHT = (2.0, -2.5, 5.0)  # [m] vector to the light at yaw 0; it turns with the camera's yaw
 
 
 class Camera(NamedTuple):
-    """Viewpoint, field of view and size of a picture."""
-
     target: Array  # (3,) [m] point in the world at the centre of the picture
     distance: float  # [m] distance from the target
     yaw: float  # [rad] horizontal angle from the world's x axis to the camera, seen from `target`
@@ -41,8 +38,8 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """A copy of the camera, moved so that points (N, 3) [m] in the world fill the picture.
-        `margin` [-] is the smallest empty part of the picture's width or height on each side.
+        """A copy of the camera, moved so that points (N, 3) [m] in the world fill the picture. At
+        each edge, at least the share `margin` [-] of the picture's width or height remains empty.
         """
         camera = self
         for _ in range(8):  # the perspective changes a little each time
@@ -68,9 +65,7 @@ class Camera(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """An additional body in the picture."""
-
-    mesh: trimesh.Trimesh  # surface of the body, in the world
+    mesh: trimesh.Trimesh  # surface of an additional body in the picture, in the world
     rgba: Rgba
 
 
@@ -101,11 +96,13 @@ class Photographer:
     def __init__(self, model: RobotModel) -> None:
         """Load the robot's visual meshes; raises the errors of `planar_urdf` and `BulletWorld`."""
         self._world = BulletWorld(planar_urdf(model.description), DT)
-        self.close = self._world.close
         self._client = self._world.client
         self._client.removeBody(self._world.floor)
         names = (*PLANAR_JOINTS, *model.description.arm.joints)
         self._joints = [self._world.joints[name] for name in names]
+
+    def close(self) -> None:
+        self._world.close()
 
     def take(
         self,

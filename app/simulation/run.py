@@ -19,8 +19,6 @@ from app.simulation.trace.trace import Recorder, Trace
 
 
 class RunResult(NamedTuple):
-    """The figures of merit and the trace of a run."""
-
     figures: dict[str, Any]  # scenario, robot and other data of the run, and its `metrics`
     trace: Trace
 
@@ -28,9 +26,7 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting; `robot` is the robot without a held door. This
-    raises a TargetError if the posture is invalid, and the errors of `Session`.
-    """
+    """A session at a setting; `robot` has no held door. Raises as `Session` and `Session.reset`."""
     model, data, base_pose, q_m, config, door = setting
     check_posture(model, q_m)  # before the plant loads
     session = Session(model, data, config, controller, physics, seed, plant=robot, door=door)
@@ -45,7 +41,6 @@ def steps_of(
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Generator[tuple[Session, Step], None, None]:
     """Execute the control steps of a run; yield each step with the session after the step.
-
     `on_progress` is called every 100 steps with the simulated time [s]. The session is closed after
     the last step, after an error, or when the iterator is closed. This raises the errors of
     `Scenario.setting`, `begin`, `Scenario.driver` and `Session.step`.
@@ -71,9 +66,9 @@ def run_from_spec(
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
 ) -> RunResult:
-    """Execute a run and compute its figures of merit; `on_progress` and errors as in `steps_of`.
-    `on_step` is called after each control step. With `drawn`, the trace has snapshots, which log
-    files and the player need.
+    """Execute a run and compute its figures of merit. `on_step` is called after each control step;
+    `on_progress` and the errors are as in `steps_of`. With `drawn`, the trace has snapshots, which
+    log files and the player need.
     """
     scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)

@@ -96,10 +96,11 @@ class Session:
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Start at rest in the ready posture, with the base at the origin, in the plant `physics`,
-        by default `default_plant`. `model` is the robot of the controller. If `door` is held, it is
-        a body of `model`, and `plant` must be the robot without this body. `seed` fixes all random
-        numbers. This raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
+        """Start at rest in the ready posture, with the base at the origin.
+        `model` is the robot of the controller, and by default also of the plant. `physics` names
+        the plant, by default `default_plant`. The end-effector holds any `door`; then `model` has
+        the door as its last body, and `plant` must be the robot without this body. `seed` fixes all
+        random numbers. Raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
         check_avoidance(model, data)
         self.model, self.data, self.config = model, data, config
@@ -119,11 +120,10 @@ class Session:
         self, q_m: Array, base_pose: Array | None = None, config: Config | None = None
     ) -> None:
         """Put the robot at rest, without people; restart the time and the random numbers.
-
         `q_m` (n_m,) [rad or m] are the arm's joint positions, `base_pose` (3,) x, y [m] and heading
-        [rad] of the base, by default zero. `config` replaces all parameters, also
-        `disturbance.stated_period`. Before any change, this raises a TargetError if the posture is
-        invalid, or a ConfigError if the stated control period is too long for a gain.
+        [rad] of the base, by default zero. `config`, if specified, replaces all parameters,
+        including `disturbance.stated_period`. Before any change, this raises a TargetError if the
+        posture is invalid, or a ConfigError if the stated control period is too long for a gain.
         """
         check_posture(self.model, q_m)
         if config is not None:
@@ -146,8 +146,8 @@ class Session:
         self._loads = self._loads_of(self.config)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, except `disturbance.stated_period`, from the next step on. If the
-        control period is too long for a gain, this raises a ConfigError before any change.
+        """Use other parameters from the next step on; `disturbance.stated_period` does not change.
+        If the control period is too long for a gain, this raises a ConfigError before any change.
         """
         self.loop.configure(config)
         self.config = config
@@ -163,7 +163,7 @@ class Session:
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """Pose of the end-effector at the last step, estimated by the controller from readings."""
+        """The controller's estimate of the end-effector's pose in the world, at the last step."""
         return self.controller.state.T_world_ee
 
     @property
@@ -190,7 +190,13 @@ class Session:
         begin = perf_counter()
         u_a, command, control = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
-        state, distances = self._observe(truth, measurement, control)
+        if measurement is truth:  # so the controller has computed the true state and distances
+            self.state = state = self.controller.state
+            distances = control.d[: len(control.pairs)].copy()
+        else:
+            self.state = state = self._own_state
+            state.update_kinematics(truth)
+            distances = np.array(self._distances.distances())
         if pull is not None:
             holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
@@ -244,17 +250,6 @@ class Session:
             if each[1] > 0.0
         }
 
-    def _observe(
-        self, truth: Measurement, sensed: Measurement, control: ControlStep
-    ) -> tuple[RobotState, Array]:
-        """The true state and distances (n_p,) [m]: the controller's, if it received `truth`."""
-        if sensed is truth:
-            self.state = self.controller.state
-            return self.state, control.d[: len(control.pairs)].copy()
-        self.state = self._own_state
-        self.state.update_kinematics(truth)
-        return self.state, np.array(self._distances.distances())
-
     def close(self) -> None:
         self.physics.close()
 
@@ -271,9 +266,7 @@ class Disturbances:
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Use these disturbances from the next step on. If a delay increases, the oldest known
-        command or reading is repeated until the next is due.
-        """
+        """Use these disturbances from now on; if a delay grows, the oldest known signal repeats."""
         self._config = config
         late = round(config.base_delay / self._dt)  # [-] steps
         known = list(self._commands)
@@ -292,9 +285,9 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """The readings that the controller receives in a control step: `truth`, or noisy, late,
-        repeated or time-stamped ones. With noise, `VelocityTracking` computes the joint velocities
-        from the noisy positions. The base's sensors have no noise.
+        """The readings that the controller receives in a control step: `truth`, or readings that
+        are noisy, late or repeated, or have time stamps. With noise, `VelocityTracking` computes
+        the joint velocities from the noisy positions. The base's sensors have no noise.
         """
         config, sent = self._config, truth
         if config.encoder_noise == 0.0:
@@ -326,7 +319,6 @@ class Disturbances:
 
 class VelocityTracking:
     """Velocities from positions: a tracking loop, as in the electronics of encoders.
-
     The transfer function from q to v̂ is ω² s / (s + ω)², discretised with exact poles: constant
     velocities are exact, and changes have a delay of about 2/ω = 8 ms. Position noise with the
     standard deviation σ causes velocity noise of about σ √(ω³ dt) / 2, 62 σ/s at 1 kHz.
@@ -353,9 +345,8 @@ def check_posture(model: RobotModel, q_m: Array) -> None:
     """Raise a TargetError if `q_m` [rad or m] is not (n_m,), or a joint is beyond its limits."""
     if len(q_m) != model.n_m:
         raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")
-    for name, at, low, high in zip(
-        model.description.arm.joints, q_m, model.q_lower, model.q_upper, strict=True
-    ):
+    limits = zip(model.description.arm.joints, q_m, model.q_lower, model.q_upper, strict=True)
+    for name, at, low, high in limits:
         if not low - _ROUNDING <= at <= high + _ROUNDING:
             raise TargetError(
                 f"start: {name} at {at:.4g} is beyond its limits, {low:g} to {high:g}"

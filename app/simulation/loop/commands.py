@@ -15,9 +15,8 @@ from app.control import CONTROLLERS
 from app.errors import ConfigError, LoopError, TargetError, check_name
 from app.simulation.people import checked_hold, checked_target
 from app.simulation.scenarios.leading import Scenario
+from app.simulation.scenarios.line import Point
 from app.strict import check_range
-
-Point = tuple[float, float, float]
 
 SPEEDS = 0.1, 4.0  # [-] smallest and largest multiple of real time
 STEPS = 0.001, 1.0  # [s] shortest and longest single step
@@ -154,11 +153,10 @@ class Compare(Command):
 
 class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
-
-    A `Pull` or `Release` replaces a waiting one of the same person, and a `Beginning` replaces a
-    waiting one; but a `Restart` is dropped if a `Beginning` waits. Each other command replaces a
-    waiting command of its class. An `Adjustment` takes the place of the replaced command, so that a
-    later `Beginning` uses the newest value. All other commands go to the end of the queue.
+    A `Pull` or `Release` replaces a waiting pull or release of the same person. A `Beginning`
+    replaces a waiting `Beginning`; but a `Restart` is dropped if a `Beginning` waits. Each other
+    command replaces a waiting command of its class. An `Adjustment` takes the place of the replaced
+    command, so that a later `Beginning` uses the newest value. All others go to the queue's end.
     """
 
     def __init__(self) -> None:
@@ -170,7 +168,12 @@ class Mailbox:
         """Add a command; a pull whose link is not in `links` raises an UnknownNameError. While
         `MAX_WAITING` commands wait, a pull that replaces none of them raises a LoopError.
         """
-        pulls, key = isinstance(command, Pull), _key(command)
+        pulls = isinstance(command, Pull)
+        key: Hashable = type(command)  # a command replaces a waiting command with an equal key
+        if isinstance(command, (Pull, Release)):
+            key = Pull, command.who
+        elif isinstance(command, Beginning):
+            key = Beginning
         if pulls and command.link is not None:
             check_name("link", str(command.link), links)  # a page can send any name
         with self._lock:
@@ -192,10 +195,3 @@ class Mailbox:
             self._waiting.clear()
             self.filled.clear()
         return commands
-
-
-def _key(command: Command) -> Hashable:
-    """The key of a command, which replaces a waiting command with an equal key."""
-    if isinstance(command, (Pull, Release)):
-        return Pull, command.who
-    return Beginning if isinstance(command, Beginning) else type(command)

@@ -68,13 +68,11 @@ class Ensemble:
         """Case of the scenario that started in the last simulated second, or None."""
         return self._case if self.main.t < _SAID else None
 
-    def reset(
-        self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> None:
+    def reset(self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0, 0, 0)) -> None:
         """Start again, as the command `Reset`; a DbbError leaves the present run unchanged."""
         begun = self._start
         if q_m:
-            begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
+            begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose, float))
         self._enter(begun, None)
         self._begun = begun
 
@@ -90,7 +88,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, adapted to the scenario; fails as `Session.configure`."""
+        """Use other parameters, adapted to the scenario; raises as `Session.configure`."""
         adapted = self.scenario.adapted(config) if self.scenario else config
         for runner in (self._led, *self.ghosts):  # of equal periods: only the first can fail
             runner.session.configure(adapted)
@@ -98,9 +96,9 @@ class Ensemble:
 
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
-        The robots start at the scenario's start while a scenario moves the robot, or the
-        end-effector holds a door; at all other times at the present posture, at rest. If they
-        cannot start there, this raises a DbbError before any change.
+        If a scenario moves the robot, or the end-effector still holds the door of a scenario, all
+        robots start at the start of this scenario, otherwise at the present posture, at rest. If
+        they cannot start there, this raises a DbbError before any change.
         """
         if not comparison.controllers:
             self.comparison = comparison
@@ -113,19 +111,16 @@ class Ensemble:
             self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot; a person at the end-effector ends the scenario's motion. If
-        `MAX_PULLS` other people already hold the robot, this raises a TargetError.
-        """
+        """As the command `Pull`; raises a TargetError if `MAX_PULLS` others hold the robot."""
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:
             self._let_go()
-        x, y, z = map(float, pull.point or (0.0, 0.0, 0.0))
+        x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
         target = np.array(pull.target, dtype=float)
         self._holds[pull.who] = Hold(pull.who, target, pull.link, (x, y, z))
 
     def release(self, who: int) -> None:
-        """Let a person release the robot, if this person holds it."""
         self._holds.pop(who, None)
 
     def step(self) -> Step:
@@ -134,9 +129,8 @@ class Ensemble:
             self._let_go()
         holds = tuple(self._holds.values())
         step = self._led.step(holds, scored=bool(self.ghosts))
-        same_force = self.comparison.same == "force"
         for ghost in self.ghosts:
-            ghost.step(holds, step.person if same_force else None)
+            ghost.step(holds, step.person if self.comparison.same == "force" else None)
         return step
 
     def scores(self) -> tuple[Score, ...]:
@@ -146,8 +140,9 @@ class Ensemble:
 
     def close(self) -> None:
         self._replace_ghosts([])
-        for session in {self._free, self.main}:
-            session.close()
+        self._free.close()
+        if self.main is not self._free:
+            self.main.close()
 
     def _let_go(self) -> None:
         self.ends = None
@@ -199,7 +194,8 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        continuing, former, self.ghosts = [g.session for g in ghosts], self.ghosts, ghosts
+        former, self.ghosts = self.ghosts, ghosts
+        continuing = [ghost.session for ghost in ghosts]
         for ghost in former:
             if ghost.session not in continuing:
                 ghost.session.close()
@@ -225,7 +221,7 @@ class Runner:
     def step(
         self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
     ) -> Step:
-        """Execute one `Session.step` with the scenario's input, the `holds` and any `forces`. If
+        """Execute one `Session.step` with the driver's input, the `holds` and any `forces`. If
         `scored`, the step counts in the score, unless the scenario's motion has ended.
         """
         lead = StepInput() if self._driver is None else self._driver(self.session)
@@ -249,7 +245,7 @@ class Runner:
         )
 
     def score(self) -> Score:
-        """The score of the steps in a comparison, until the end of the scenario's motion."""
+        """The score of all steps that count (see `step`)."""
         return self._score._replace(controller=self.session.controller.name)
 
     def _count(self, step: Step) -> None:

@@ -51,7 +51,7 @@ class LoopHandle:
 
     @property
     def silence(self) -> float:
-        """[s] time since the last heartbeat; the time of a `Snapshot.busy` does not count."""
+        """[s] time since the last heartbeat; short also while `Snapshot.busy` has a text."""
         return monotonic() - self._alive
 
     def send(self, command: commands.Command) -> None:
@@ -158,8 +158,12 @@ class SimulationLoop(LoopHandle):
             except DbbError as error:
                 number = 1 if self._refusal is None else self._refusal.number + 1
                 self._refusal = Refusal(number, str(error))
-        if waiting:
-            self._refresh(ensemble)
+        if waiting:  # the newest snapshot gets the present settings, also during a pause
+            main, latest = ensemble.main, self._history.latest
+            present = {"config": main.config, "controller": main.controller.name, "busy": ""}
+            no_ghosts = {} if ensemble.ghosts else {"ghosts": (), "scores": ()}
+            present |= self._loop_fields(ensemble) | no_ghosts
+            self._history.add(replace(latest, **present))
 
     def _carry_out(self, command: commands.Command, ensemble: Ensemble) -> None:
         if isinstance(command, commands.Pull):
@@ -172,16 +176,17 @@ class SimulationLoop(LoopHandle):
             ensemble.main.controller.use(command.controller)
         elif isinstance(command, commands.Pause):
             self._paused = command.paused
+            self._pacer.restart()
         elif isinstance(command, commands.Watch):
             self._watched = command.watched
+            self._pacer.restart()
         elif isinstance(command, commands.Speed):
             self._pacer.speed = self._speed = command.factor
+            self._pacer.restart()
         elif isinstance(command, commands.StepOnce):
             self._step_once(command.seconds, ensemble)
         else:
             self._start_again(command, ensemble)
-        if isinstance(command, (commands.Pause, commands.Watch, commands.Speed)):
-            self._pacer.restart()
 
     def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
         """Pause, and step until `seconds` [s] after the newest snapshot; publish the last step."""
@@ -212,11 +217,3 @@ class SimulationLoop(LoopHandle):
 
     def _announce(self, operation: str) -> None:
         self._history.add(replace(self._history.latest, busy=operation))
-
-    def _refresh(self, ensemble: Ensemble) -> None:
-        """Publish the newest snapshot again, with the present settings, also during a pause."""
-        main, latest = ensemble.main, self._history.latest
-        present = {"config": main.config, "controller": main.controller.name, "busy": ""}
-        no_ghosts = {} if ensemble.ghosts else {"ghosts": (), "scores": ()}
-        present |= self._loop_fields(ensemble) | no_ghosts
-        self._history.add(replace(latest, **present))

@@ -12,8 +12,8 @@ _COARSE = 2e-4  # [s] shortest sleep that is worth a switch of threads
 
 
 class Pacer:
-    """Synchronises a loop with the wall clock. After a late step, no step pauses until the loop is
-    on time; a delay above 0.2 s restarts the schedule instead, and lowers the real-time factor.
+    """Synchronises a loop with the wall clock. After a late step, steps do not sleep until the loop
+    is on time; a delay above 0.2 s restarts the schedule instead, and lowers the real-time factor.
     """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
@@ -42,7 +42,8 @@ class Pacer:
         self._marks.append(now)
         while len(self._marks) > 2 and now - self._marks[0] > _WINDOW:
             self._marks.popleft()
-        self.overruns += now - self._begun > self._real or self._begun > self._due
+        if now - self._begun > self._real or self._begun > self._due:
+            self.overruns += 1
         late = now - self._due
         if late > _CATCH_UP:
             self._due = now

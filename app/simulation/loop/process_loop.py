@@ -33,9 +33,9 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 
 def loop_child() -> Child:
     """Start a process that waits for a session to simulate; its imports take one or two seconds.
-    It receives `make_session` and `q_start` of `ProcessLoop`, then commands. It sends the outcome
-    of the start with `LoopHandle.links`, then snapshots, None as a heartbeat, and the outcome of a
-    failure.
+    It receives `make_session` and `q_start` of `ProcessLoop`, then commands. It sends an `Outcome`
+    with `LoopHandle.links` after the start, then snapshots, None as a heartbeat, and at last the
+    `Outcome` of a failure.
     """
     return Child(_run_loop)
 

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from app.simulation.plants.interface import Physics
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
+PYBULLET_MISSING = (
+    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
+    "Python (docs/install.md)"
+)
 _FORMERLY = {"contact": "mujoco-contact"}
 
 
@@ -22,7 +26,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The plant with a present or former `name`, or the default; raises an UnknownNameError."""
+    """The present name of a plant (`name` None: the default); raises an UnknownNameError."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name
@@ -31,8 +35,8 @@ def chosen_plant(name: str | None) -> str:
 def make_physics(
     kind: str | None, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
 ) -> Physics:
-    """Make the plant `kind`, or the default one, with steps of `dt` [s]. The robot is at rest in
-    its ready posture; its end-effector holds any `door`, also after each reset.
+    """Make the plant `kind`, by default `default_plant`, with steps of `dt` [s]. The robot is at
+    rest in its ready posture. The end-effector holds any `door`, also after each reset.
 
     Raises:
         UnknownNameError: The plant does not exist.
@@ -41,11 +45,10 @@ def make_physics(
         RobotFileError: With MuJoCo, the meshes exceed the limits of `collision_shapes`.
     """
     kind = chosen_plant(kind)
-    # Imported here, because each plant must work without the libraries of the other plants.
     if kind == "planar" and not find_spec("pybullet"):
-        from app.simulation.plants.interface import MISSING
-
-        raise ConfigError(f"the plant planar {MISSING}; --physics mujoco works without pybullet")
+        why = f"the plant planar {PYBULLET_MISSING}"
+        raise ConfigError(f"{why}; --physics mujoco works without pybullet")
+    # Imported here, because each plant must work without the libraries of the other plants.
     if kind in ("planar", "mujoco"):
         from app.simulation.plants.planar import Planar
 
@@ -66,7 +69,5 @@ def make_physics(
     from app.simulation.plants.kinematic import Kinematic
 
     if door is not None:
-        raise ConfigError(
-            "the plant kinematic has no door; choose planar, mujoco or mujoco-contact"
-        )
+        raise ConfigError("kinematic has no door; choose planar, mujoco or mujoco-contact")
     return Kinematic(model, dt=dt)

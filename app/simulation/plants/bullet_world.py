@@ -22,9 +22,10 @@ from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.urdf import origin
+from app.simulation.plants import PYBULLET_MISSING
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs, link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor, T_link_ee
-from app.simulation.plants.interface import GRAVITY, MISSING, Contacts, HeldDoor, Push, Wrench
+from app.simulation.plants.interface import GRAVITY, Contacts, HeldDoor, Push, Wrench
 from app.strict import Array
 from app.system import decimal_points, flush_c_output
 
@@ -54,7 +55,7 @@ class _MissingPybullet:
     """A substitute for pybullet if pybullet is not installed: each use raises an error."""
 
     def __getattr__(self, name: str) -> Any:
-        raise ConfigError(f"this {MISSING}")
+        raise ConfigError(f"this {PYBULLET_MISSING}")
 
 
 if TYPE_CHECKING:
@@ -98,7 +99,6 @@ class BulletWorld:
         pybullet raises an AssetError; a missing pybullet raises a ConfigError.
         """
         self.client = client = Client()
-        self.close = client.close  # ends the client; a second call has no effect
         # pybullet caches a file by its descriptor, which the system can give to a later file.
         client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
@@ -155,7 +155,6 @@ class BulletWorld:
             self._contact_of[body_b, body_a, link_b, link_a] = group
 
     def contacts(self) -> Contacts:
-        """Contacts in the last step."""
         found = self.client.getContactPoints(self.robot)
         # without a gap [m], or with a force [N]
         groups = (self._contact_of.get(c[1:5]) for c in found if c[8] <= 0 or c[9] > 0)
@@ -183,11 +182,13 @@ class BulletWorld:
         else:
             self.client.restoreState(self._at_load)
 
+    def close(self) -> None:
+        """End the client; a second call has no effect."""
+        self.client.close()
+
 
 class BulletRobot(BulletWorld):
-    """A robot whose positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world,
-    then of the arm's joints; `door` is as in `Physics`.
-    """
+    """A robot with positions q and velocities v (3 + n_m,): x, y, yaw, then the arm's joints."""
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
         """Load the robot; a missing mesh, or an error of pybullet, raises an AssetError."""
@@ -195,7 +196,7 @@ class BulletRobot(BulletWorld):
         super().__init__(_plant_urdf(description), dt)
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
-        # Indices ascend: pybullet numbers a joint before the joints that it moves.
+        # These indices ascend: pybullet numbers a joint before the joints that it moves.
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
@@ -224,7 +225,7 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """`Physics.step` with the commanded `speeds` (3,) [m/s, m/s, rad/s] of x, y and yaw."""
+        """As `Physics.step`; `speeds` (3,) [m/s, m/s, rad/s] command x, y and yaw in the world."""
         self._control(
             self._planar, pybullet.VELOCITY_CONTROL, targetVelocities=speeds, forces=self._limits
         )
@@ -292,11 +293,14 @@ class BulletDoor(HeldDoor):
         client.resetJointState(self.body, _DOOR, -self.door.side * self._start, 0.0)
         T_ee = self._tip_pose()
         links = (self._robot, self._tip), (self.body, _DOOR)
-        # A constraint's frames are relative to the frames of the links' centres of mass.
-        poses = [self._link_pose(*link, 0).inverse() * T_ee for link in links]
-        places, turns = zip(*(np.split(pin.SE3ToXYZQUAT(T), [3]) for T in poses), strict=True)
+        frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
         self._grasp = client.createConstraint(
-            *links[0], *links[1], pybullet.JOINT_FIXED, [0, 0, 0], *places, *turns
+            *links[0],
+            *links[1],
+            pybullet.JOINT_FIXED,
+            [0, 0, 0],
+            *(frame[:3].tolist() for frame in frames),
+            *(frame[3:].tolist() for frame in frames),
         )
         client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
@@ -311,13 +315,14 @@ class BulletDoor(HeldDoor):
         R = self._tip_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
-    def _link_pose(self, body: int, link: int, field: int) -> pin.SE3:
-        """Pose of a link's centre of mass (`field` 0) or of its frame (`field` 4), in the world."""
+    def _com_pose(self, body: int, link: int) -> pin.SE3:
+        """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""
         state = self._client.getLinkState(body, link, computeForwardKinematics=1)
-        return pin.XYZQUATToSE3([*state[field], *state[field + 1]])
+        return pin.XYZQUATToSE3([*state[0], *state[1]])
 
     def _tip_pose(self) -> pin.SE3:
-        return self._link_pose(self._robot, self._tip, 4) * self._T_link_ee
+        state = self._client.getLinkState(self._robot, self._tip, computeForwardKinematics=1)
+        return pin.XYZQUATToSE3([*state[4], *state[5]]) * self._T_link_ee
 
 
 def _plant_urdf(description: RobotDescription) -> str:
@@ -335,7 +340,7 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links on fixed joints into their parents: pybullet loads at most 128 links."""
+    """Merge links on fixed joints into parents with equal contacts: pybullet loads 128 links."""
     nested = description.nested
     touched = {
         link: (body.name, {pair - {link} for pair in nested if link in pair})

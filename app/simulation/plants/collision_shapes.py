@@ -23,8 +23,8 @@ from app.strict import Array
 FLOOR = "/floor"  # name of the floor as a part; no link or body can have this name
 
 ContactPairs = dict[tuple[str, str], str]
-"""The field of `Contacts` for each pair of parts, by the names of bodies or links. A part of l_m,
-and the floor, are first in their pairs."""
+"""The field of `Contacts` for each pair of parts, by the names of bodies or links. In pairs of
+`arm_base` the part of l_m is first, in pairs of `arm_floor` the floor."""
 
 
 class CollisionShape(NamedTuple):
@@ -50,9 +50,9 @@ class CollisionShapes(NamedTuple):
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of bodies between which contacts are computed: l_m and the floor with each body of the
-    arm that the description's `reachability` contains, and any two bodies of the arm that are not
-    neighbours in the chain and not in the description's `unwatched`.
+    """Pairs of bodies between which contacts are computed: l_m, and also the floor, with each body
+    of the arm that the description's `reachability` contains; and any two bodies of the arm that
+    are not neighbours in the chain and not a pair of the description's `unwatched`.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -67,7 +67,8 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
     """Pairs of links whose bodies are a pair of `body_contact_pairs`, without those in `nested`.
-    Pairs of l_m in `unwatched` count too: their bodies may overlap by design, their links may not.
+    The pairs of l_m in `unwatched` are included, except that with the arm's first body: these
+    bodies may overlap by design, their links may not.
     """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested, mobile = description.nested, description.mobile_body.name
@@ -85,7 +86,7 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
 def geometry_with_floor(
     model: RobotModel, floor: pin.GeometryObject, pairs: ContactPairs
 ) -> tuple[pin.GeometryModel, list[str]]:
-    """The robot's bodies and a floor with pairs of shapes, and the field of `Contacts` of each."""
+    """Geometry of bodies and a floor with pairs of shapes, and each pair's field of `Contacts`."""
     geometry, fields = model.geometry.copy(), list[str]()
     ids = {**model.shape_ids, FLOOR: [geometry.addGeometryObject(floor)]}
     for (a, b), field in pairs.items():
@@ -137,7 +138,7 @@ def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
 
 
 def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
-    """Parts of a shape: as in pybullet, a hull for each object or group of an OBJ file."""
+    """A hull for each object or group of an OBJ file, as in pybullet; otherwise the whole shape."""
     if not placed.meshPath.lower().endswith(".obj"):
         return [placed.geometry]
     points: list[list[float]] = []

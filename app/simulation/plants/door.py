@@ -17,8 +17,7 @@ from app.robot.shapes import Superquadric, around_box
 from app.strict import Array
 
 BODY = "door"
-
-_E = 0.2  # [-] exponents of the hyper-ellipsoid: slightly curved, so that closest points are unique
+_E = 0.2  # [-] exponents e1 and e2 of the hyper-ellipsoid; its curved faces have one closest point
 _MASS = 60.0  # [kg] mass of the refrigerator without its door
 _DEPTH = 0.60  # [m] depth of the cabinet
 _GAP = 0.005  # [m] distance between the cabinet and the closed door
@@ -28,8 +27,8 @@ _SINKING = 1e-5  # [m] depth of the resting cabinet in the floor
 
 @dataclass(frozen=True)
 class Door:
-    """A vertical board on a hinge. The door's frame turns with the board, has its origin on the
-    floor under the hinge's axis, and z up. x of the closed door points into the refrigerator.
+    """A vertical board on a hinge. The door's frame turns with the board; its origin is on the
+    floor under the hinge's axis, and z is up. x of the closed door points into the refrigerator.
     """
 
     hinge: Literal["left", "right"]  # side of the hinge for a person in front of the closed door
@@ -89,16 +88,15 @@ class Door:
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the board's corners; T is the pose of the door's frame."""
+        """The hyper-ellipsoid through the board's corners, in a frame F; T is T_F_door."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
-        axes = around_box(self.size, _E, _E)
         return Superquadric(
             type="superquadric",
             xyz_m=(x, y, z),
             rpy_rad=(roll, pitch, yaw),
-            semi_axes_m=axes,
+            semi_axes_m=around_box(self.size, _E, _E),
             e1=_E,
             e2=_E,
         )
@@ -164,10 +162,9 @@ def with_door(
     model: RobotModel, data: BorderData, door: Door, T_ee_door: pin.SE3
 ) -> tuple[RobotModel, BorderData]:
     """Model and data of a robot whose last body is a held door (Figure 16b); ⟨l_m, door⟩ is in L_m.
-
-    `T_ee_door` is the constant pose of the door in the end-effector's frame. The door has the
-    reachability coefficients of the last body that has any; if there is none, this raises a
-    DescriptionError. The pair's acting point is on the exact offset surface of l_m, not a sample.
+    `T_ee_door` is the constant pose of the door in the end-effector's frame. The door gets the
+    reachability coefficients of the last body that has any; if no body has any, this raises a
+    DescriptionError. The pair's acting points are on the exact offset surface of l_m, not samples.
     """
     description = model.description
     link = description.arm.end_effector_link

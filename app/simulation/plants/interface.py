@@ -14,14 +14,10 @@ from app.simulation.plants.door import Door
 from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
-MISSING = (
-    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
-    "Python (docs/install.md)"
-)
 
 
 class Contacts(NamedTuple):
-    """Whether parts touched in the last step: pairs of `body_contact_pairs`, or base and door."""
+    """Whether parts touched in the last step: a pair of `ContactPairs`, or base and door."""
 
     arm_base: bool = False
     arm_arm: bool = False  # two parts of the arm that are not neighbours
@@ -40,15 +36,13 @@ class Wrench(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A force on a point of the arm."""
-
-    joint: str  # name of the joint that carries the point
+    joint: str  # name of the joint of the arm that carries the point
     p: Array  # (3,) [m] the point in the joint's frame
     force: Array  # (3,) [N] in the world
 
 
 class HeldDoor(ABC):
-    """A door in a plant, which the end-effector holds after the plant's reset."""
+    """A door in a plant; the end-effector holds the door from each reset of the plant on."""
 
     door: Door  # constant geometry of the door
 
@@ -96,9 +90,9 @@ class Physics(ABC):
 
 
 class PointLoad:
-    """A point mass fixed to the end-effector; its weight and inertia act on the arm as a force. The
-    computation includes the effect of this force on the acceleration a: with the last a, the force
-    m (g - a) would be unstable for a load heavier than the arm's effective mass.
+    """A point mass fixed to the end-effector; its weight and inertia act on the arm as a force.
+    A force m (g - a) with the last acceleration a would be unstable for a load heavier than the
+    arm's effective mass. Therefore the computation includes the effect of the force on a.
     """
 
     def __init__(self, model: RobotModel, mass: float, centre: Array, dt: float) -> None:
@@ -132,12 +126,11 @@ class Drive:
     def __init__(self, base: BaseKind, dt: float) -> None:
         """A drive at rest; `dt` [s] is the duration of one `step`."""
         self._base, self._follow = base, base.follower(dt)
-        self._at_rest = base.drive_at_rest()
         self.reset()
 
     def reset(self) -> None:
         self.velocity = [0.0] * self._base.n_b  # (n_b,) [m/s or rad/s] along the base's axes
-        self.state = self._at_rest  # (n_d,) further states, such as a steering angle [rad]
+        self.state = self._base.drive_at_rest()  # (n_d,) more states, as a steering angle [rad]
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
         """Execute one step with the command (n_b,) [m/s or rad/s], and return the new velocity."""

@@ -1,7 +1,8 @@
 """A simple plant without a physics engine, for tests and as a check of the engines.
 
 The base moves exactly with its drive's velocity; the arm follows
-M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f with external forces f. Contacts cause no force.
+M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f with external forces f. Only joint limits stop the arm:
+contacts cause no force.
 """
 
 import math
@@ -45,8 +46,8 @@ class Kinematic(Physics):
         self._stepped = False
 
     def measure(self) -> Measurement:
-        drive, arm = self._drive, (self._q.copy(), self._qd.copy())
-        return Measurement(self._base_pose.copy(), np.array(drive.velocity), *arm, drive.state)
+        velocity, q_m, qd_m = np.array(self._drive.velocity), self._q.copy(), self._qd.copy()
+        return Measurement(self._base_pose.copy(), velocity, q_m, qd_m, self._drive.state)
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
@@ -75,7 +76,7 @@ class Kinematic(Physics):
         return Contacts.of(compress(self._group_of, self._distances <= 0.0))
 
     def _move_arm(self, A: Array, b: Array) -> None:
-        """Integrate A q̈_a = b over one step; A (n_m, n_m) and b (n_m,) are overwritten."""
+        """Integrate A q̈_a = b over one step within the joints' limits; A and b are overwritten."""
         q, qd, dt = self._q, self._qd, self.dt
         lower, upper = self._model.q_lower, self._model.q_upper
         if not math.isfinite(b.sum() + A.sum()):  # `solve` would raise an error

@@ -1,9 +1,9 @@
 """The high-fidelity plant: MuJoCo with wheels that roll and slip, and a free base that can tip.
 
-All wheels are driven, and have the same friction along and across. Wheels on several axles carry a
-skid-steer base; a turn on the spot at the start calibrates its drive, because the effective track
-depends on the load of each wheel. A base with all wheels on one axle also stands on frictionless,
-slightly soft casters: the spheres at the floor in the URDF, or one at each corner of the base.
+All wheels are driven, and have the same friction along and across. A base with wheels on several
+axles is skid-steered; a turn on the spot at the start calibrates its drive, because the effective
+track depends on the load of each wheel. A base with all wheels on one axle also stands on casters,
+frictionless and slightly soft: the spheres at the floor in the URDF, or one at each corner.
 """
 
 import math
@@ -41,7 +41,6 @@ _TYRE: dict[str, Any] = {
 """A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
 stiffer contacts and faster friction in MuJoCo, the wheels would hop in turns of the base."""
 _AT_FLOOR = 0.01  # [m] a shape of the base that reaches down to this height counts as on the floor
-_GEOM = mujoco.mjtGeom
 _MIN_MASS = 0.005  # [-] assumed mass of a wheel without a mass, relative to the base's mass
 _SETTLING_TIME = 0.3  # [s] time in which the base sinks onto its wheels after a reset
 _FROZEN = 1e6  # [kg m²] armature that fixes the arm's joints
@@ -50,7 +49,7 @@ _TURN_RATE = 0.4  # [rad/s] commanded rate of the calibrating turn
 
 
 class Wheels:
-    """The driven wheels in the frame of the root, which is on the floor."""
+    """The driven wheels in the frame of the root link; the origin of this frame is on the floor."""
 
     def __init__(self, model: RobotModel) -> None:
         """Read the wheels from the URDF; if the description names none, assume one on each side."""
@@ -160,7 +159,7 @@ class MujocoWheels(Physics):
         self._rolling = np.array([right if is_right else left for is_right in self.wheels.right])
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Execute steps with a fixed arm and wheel speeds (n,) [rad/s]; return ω of each step."""
+        """Execute steps with a fixed arm and constant wheel speeds (n,) [rad/s]; return each ω."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN
@@ -179,24 +178,23 @@ def _heading(R: Array) -> float:
 def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> None:
     """Add the driven wheels; friction and motor torques follow from the base's traction limit."""
     weight = GRAVITY * pin.computeTotalMass(robot.model.pin)  # [N]
-    mu, torque = base.traction_limit_n / weight, base.traction_limit_n * wheels.radius
-    torque /= len(wheels.centres)
+    r, limit = wheels.radius, base.traction_limit_n
+    mu, torque = limit / weight, limit * r / len(wheels.centres)
     if wheels.spans:
         torque *= _LOAD_RESERVE
     else:
         mu *= _LOAD_RESERVE
-    r = wheels.radius
     for i, (centre, inertia) in enumerate(zip(wheels.centres, wheels.inertias, strict=True)):
         name = f"wheel_{i}"
         wheel = robot.add_body(robot.root, name, pin.SE3(np.eye(3), centre), inertia)
         robot.add_motor(wheel, name, mujoco.mjtJoint.mjJNT_HINGE, (0, 1, 0), torque)
-        robot.add_geom(wheel, name, _GEOM.mjGEOM_ELLIPSOID, (r, _TREAD * r, r))
+        robot.add_geom(wheel, name, mujoco.mjtGeom.mjGEOM_ELLIPSOID, (r, _TREAD * r, r))
         robot.allow(FLOOR, name, friction=mu, **(_TYRE if wheels.spans else {}))
 
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
     """Add casters, if needed; let the base's higher shapes touch the floor, if the base tips."""
-    casters: list[Array] = []  # horizontal position, and radius, which is the centre's height
+    casters: list[Array] = []  # (3,) [m] centre of each; its height is the radius
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:
             continue
@@ -210,5 +208,5 @@ def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
         corners = [np.array([*place, r]) for place in product(*sides)]
         for i, centre in enumerate(casters or corners):
             name, place = f"caster_{i}", pin.SE3(np.eye(3), centre)
-            robot.add_geom(robot.root, name, _GEOM.mjGEOM_SPHERE, centre[2:], place)
+            robot.add_geom(robot.root, name, mujoco.mjtGeom.mjGEOM_SPHERE, centre[2:], place)
             robot.allow(FLOOR, name, friction=0.0, solref=_SPRING)

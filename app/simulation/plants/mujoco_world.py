@@ -95,22 +95,31 @@ class RobotSpec:
         )
 
     def add_geom(
-        self, body: Any, name: str, kind: Any, size: Iterable[float] = (), T: pin.SE3 = _ORIGIN
+        self,
+        body: Any,
+        name: str,
+        kind: mujoco.mjtGeom,
+        size: Iterable[float] = (),
+        T: pin.SE3 = _ORIGIN,
     ) -> None:
         """Add a shape to a body at the pose T; it can touch only the geoms of its pairs in `allow`.
         `size` [m] has up to three sizes, as MuJoCo defines them; a mesh has the name of its geom.
         """
-        mesh = name if kind == _GEOM.mjGEOM_MESH else ""
-        filled, at = [*size, 0, 0, 0][:3], _pose(T)
         body.add_geom(
-            name=name, type=kind, size=filled, **at, meshname=mesh, contype=0, conaffinity=0
+            name=name,
+            type=kind,
+            size=[*size, 0, 0, 0][:3],
+            **_pose(T),
+            meshname=name if kind == _GEOM.mjGEOM_MESH else "",
+            contype=0,
+            conaffinity=0,
         )
 
     def add_motor(
         self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], limit: float
     ) -> None:
-        """Add a joint about or along `axis` (3,) of the body with a velocity-controlled motor: dry
-        friction up to `limit` [N or N m] relative to the commanded speed.
+        """Add a joint with a velocity-controlled motor, about or along `axis` (3,) in the body's
+        frame. The motor is dry friction, up to `limit` [N or N m], relative to a commanded speed.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(limit))
         self.motors.append(name)
@@ -126,8 +135,8 @@ class RobotSpec:
     def allow(
         self, a: str, b: str, group: str | None = None, friction: float = _FRICTION, **contact: Any
     ) -> None:
-        """Let two geoms touch. The field `group` of `Contacts`, if any, reports their contact;
-        `friction` [-] is the coefficient; `contact` has other options of MuJoCo than the defaults.
+        """Let two geoms touch. The field `group` of `Contacts`, if any, reports their contact.
+        `friction` [-] is the coefficient; `contact` has further options of MuJoCo's `add_pair`.
         """
         contact = {"solref": _FIRM, "solimp": _IMPEDANCE} | contact
         self.pairs[frozenset((a, b))] = group
@@ -226,7 +235,7 @@ def _quaternion(R: Array) -> Array:
 
 
 class MujocoWorld:
-    """A compiled `RobotSpec`; for a robot on planar joints, it can replace a `BulletRobot`."""
+    """A compiled `RobotSpec`; with planar joints, it has the methods of a `BulletRobot`."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""
@@ -236,9 +245,8 @@ class MujocoWorld:
         self.q, self.v = self.data.qpos, self.data.qvel  # views that MuJoCo updates
         source = robot.model
         first = model.joint(source.description.arm.joints[0])
-        self.arm_q, self.arm_v = (
-            slice(int(begin), int(begin) + source.n_m) for begin in (*first.qposadr, *first.dofadr)
-        )
+        self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
+        self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
         self._planar_q = self.q[: self.arm_q.stop]
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
@@ -256,14 +264,12 @@ class MujocoWorld:
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
-        """Put the robot at rest at q, as `BulletRobot.reset`."""
         self.rewind()
         self._planar_q[:] = q
         if self.door is not None:
             self.door.take_hold(self)
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Copies of the positions and velocities, as `BulletRobot.read`."""
         base_q, base_v, q_m, qd_m = self._read
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
@@ -288,8 +294,8 @@ class MujocoWorld:
         data = self.data
         mujoco.mj_step1(self.model, data)
         # MuJoCo has set the reference acceleration of dry friction, -v / dt, which stops a joint.
-        # That of a motor is (speed - v) / dt; the solver starts from it, because from the solution
-        # of the last step it would need three iterations.
+        # That of a motor is (speed - v) / dt. The solver starts from these accelerations of the
+        # motors; from the solution of the last step it would need three iterations.
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
         motors = data.efc_aref[row : row + len(self._motors)]
         motors += self._per_step * np.asarray(speeds)
@@ -308,12 +314,10 @@ class MujocoWorld:
         """Do nothing: the plant has no resources to release."""
 
     def contacts(self) -> Contacts:
-        """Contacts in the last step."""
         touching = self.data.contact.geom.tolist()
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
     def depths(self) -> dict[str, float]:
-        """[m] depths of the contacts, as `BulletWorld.depths`."""
         deepest: dict[str, float] = {}
         contacts = self.data.contact
         for (a, b), distance in zip(contacts.geom.tolist(), contacts.dist, strict=True):
@@ -322,7 +326,6 @@ class MujocoWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] lengths of rays up to the first hit, as `BulletWorld.seen`."""
         mujoco.mj_kinematics(self.model, self.data)
         found, hit = np.full(len(begins), np.inf), np.zeros(1, np.int32)
         for i, (begin, way) in enumerate(zip(begins, ends - begins, strict=True)):

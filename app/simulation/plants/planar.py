@@ -34,7 +34,7 @@ _SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # directions of
 
 
 class Planar(Physics):
-    """The plant whose base cannot tip; traction limits the motors of its joints x, y and yaw."""
+    """The plant whose base cannot tip; motors of limited force move its joints x, y and yaw."""
 
     def __init__(
         self,
@@ -85,10 +85,12 @@ class Planar(Physics):
 
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
         """M (n, n) and C q̇ + g (n,) of (26) from the engine, at q_m and q̇, with the heading 0."""
-        S, v = self._S, self._S @ qd  # at heading 0 the axes of base and world coincide
+        S = self._S
+        v = S @ qd  # at heading 0 the axes of base and world coincide
         M, h = self.world.mass_and_bias(np.concatenate([np.zeros(3), q_m]), v)
         # The world's axes do not turn with the base: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
-        turning = np.array([-v[2] * v[1], v[2] * v[0], *np.zeros(len(q_m) + 1)])
+        turning = np.zeros(len(v))
+        turning[:2] = -v[2] * v[1], v[2] * v[0]
         return S.T @ M @ S, S.T @ (h + M @ turning)
 
     def close(self) -> None:
@@ -96,8 +98,9 @@ class Planar(Physics):
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """Turn v_x, v_y [m/s] and ω [rad/s] of the base from its axes in the middle of a step of `dt`
-    [s] to those of the world. `heading` [rad] is the base's heading at the start of the step.
+    """The mean twist (3,) in the world during a step of `dt` [s], for a constant `twist` (3,) in
+    the base's frame: v_x, v_y [m/s] and ω [rad/s]. `heading` [rad] is that of the base at the start
+    of the step; the mean uses the heading in the middle of the step.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt
@@ -106,8 +109,6 @@ def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float
 
 
 class Difference(NamedTuple):
-    """Differences between two engines in some postures."""
-
     picture: float  # [-] share of rays to the robot with different hits, in the worst picture
     depth: float  # [m] of the deepest contact of a kind that only one engine reports in a posture
     contacts: int  # number that both engines report, at most one of each kind in each posture

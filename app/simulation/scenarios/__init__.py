@@ -64,7 +64,7 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
     displacement of the end-effector) replaces the scenario's own line; `changes`, options as in
     `Scenario.changed`, override both. This raises the errors of `scenario_by_name` and
     `Scenario.changed`; an UnreachableError if the scenario needs a start, and neither description
-    nor `changes` have one; a DescriptionError if a line belongs to no scenario with a line.
+    nor `changes` have one; a DescriptionError if the description has a line that is not in `LINES`.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
@@ -81,10 +81,10 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
 def free_start(
     model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
 ) -> Array:
-    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. The end-effector
-    is at `start` (3,) [m] for a base at the origin, by default at the start of the robot's own line
-    for `guiding-front`; without this line too, the posture is the ready one. Raises an
-    UnreachableError if the search finds no posture.
+    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion. `start` (3,) [m]
+    is the end-effector's position for a base at the origin, by default the start of the robot's own
+    line for `guiding-front`. Without `start` and such a line, the result is the ready posture. If
+    the search finds no posture, this raises an UnreachableError.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start
@@ -97,7 +97,7 @@ def free_start(
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, Point]:
-    """Options with the robot's line for a scenario, else for the one of `_SAME_LINE`, if any."""
+    """Start and displacement of the robot's line for a scenario; {} if it has no such line."""
     lines = description.lines
     if unknown := sorted(lines.keys() - LINES.keys()):
         where = f"{description.name}: [lines.{unknown[0]}] in robot.toml"

@@ -2,7 +2,8 @@
 
 The end-effector has velocity control along the estimated tangent, and force control along the
 estimated radius. The grasp is rigid, so the radial direction is constant in the end-effector's
-frame. `DoorOpening` estimates it from the radial force, and the path's curvature from the torque.
+frame. `DoorOpening` estimates this direction from the radial force, and the curvature of the
+end-effector's path from the torque.
 """
 
 import math
@@ -45,7 +46,6 @@ def radial_update(
     regulated: float, progress: float, sense: float, gains: DoorOpeningGains
 ) -> float:
     """Rotation rate [rad/s] of the estimated radial direction about the vertical.
-
     If the estimated tangent t̂ deviates by the angle e from the true one, the door stops the radial
     part of the motion along t̂. In the steady state at full speed, the force's PI regulator
     R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i [N], with the radial force f_r, satisfies
@@ -57,10 +57,9 @@ def radial_update(
 
 def curvature_update(torque: float, progress: float, gains: DoorOpeningGains) -> float:
     """Rate of change [rad/(m s)] of the estimated curvature κ = ω/v of the end-effector's path.
-
     If the estimate κ̂ is wrong, the end-effector twists the door: (κ̂ - κ) v_d = α_τ τ_z in the
-    steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d. `torque` is τ_z [N m], that on the door
-    about the vertical, `progress` is v/v_d.
+    steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d. `torque` is τ_z [N m], the torque on the
+    door about the vertical; `progress` is v/v_d, as in `radial_update`.
     """
     return -gains.learning_rate * progress * gains.angular_compliance * torque / gains.speed
 
@@ -71,9 +70,9 @@ class DoorOpening:
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
     ) -> None:
-        """Start at the handle of a door that opens towards the end-effector, whose z axis points
-        into the door. `radial_guess` (2,) is the first estimate of the horizontal direction to the
-        hinge; `dt` [s] is the time between calls of `step`.
+        """Start at the handle of a door that opens towards the end-effector. The end-effector's z
+        axis points into the door. `radial_guess` (2,) is the first estimate of the horizontal
+        direction to the hinge; `dt` [s] is the time between calls of `step`.
         """
         self._gains, self._dt = gains, dt
         self._R_start = T_world_ee.rotation.copy()
@@ -126,7 +125,7 @@ class DoorOpening:
         return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
 
     def _desired_speed(self, force: Array, turned: float) -> float:
-        """[m/s] v_d, reduced at the start, if the door resists, and if the door is almost open."""
+        """[m/s] v_d, reduced at the start, if the door resists, and near the rotation `turn`."""
         gains = self._gains
         left = (gains.turn - turned) / gains.braking
         begun = min(self._t / gains.ramp, 1.0)
@@ -136,9 +135,7 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens the door in a session at its start, at a desired `rate` [deg/s].
-    `guess` [deg] is the error of the first estimate, as `RefrigeratorScenario.radial_guess`.
-    """
+    """The driver that opens a door at `rate` [deg/s]; `guess` [deg] is as `radial_guess`."""
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
     turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])

@@ -39,8 +39,6 @@ Driver = Callable[["Session"], StepInput]  # computes the input of the next cont
 
 
 class Setting(NamedTuple):
-    """The start of a run."""
-
     model: RobotModel  # model of the controller
     data: BorderData  # link pairs and border clouds of the model
     base_pose: Array  # (3,) x, y [m] and heading [rad] of the base
@@ -75,12 +73,12 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """`config` with the values that this scenario requires; the loop adapts changes, too."""
+        """`config` with the values that this scenario requires; also adapts changes in a run."""
         return config
 
     @abstractmethod
     def driver(self, session: Session) -> Driver:
-        """Make the driver for a session at its start; only a scenario with a door can fail here."""
+        """Make the driver for a session at its start; without a door, this raises no error."""
 
     def changed(self, **changes: Any) -> Self:
         """A copy with these `changes`, except None; an invalid one raises a ConfigError."""

@@ -109,15 +109,15 @@ class LineScenario(Scenario):
     def driver(self, session: Session) -> Driver:
         orientation = session.T_world_ee.rotation.copy()
         if self.mode == "tracking":
-            return lambda now: StepInput(reference=self.reference(now.t, orientation))
-        return lambda now: StepInput(pull=self.place(now.t) if self.holds(now.t) else None)
+            return lambda session: StepInput(reference=self.reference(session.t, orientation))
+        return lambda session: StepInput(
+            pull=self.place(session.t) if self.holds(session.t) else None
+        )
 
     def place(self, t: float) -> Array:
         """(3,) [m] target of the end-effector at time t [s], in the world."""
         s = self._passed(t)
-        share = s * s * (3 - 2 * s)
-        (x, y, z), (to_x, to_y, to_z) = self.start, self.move
-        return np.array([x + share * to_x, y + share * to_y, z + share * to_z])
+        return np.array(self.start) + s * s * (3 - 2 * s) * np.array(self.move)
 
     def holds(self, t: float) -> bool:
         """Whether the person holds the end-effector at time t [s]."""
@@ -158,7 +158,6 @@ class StartedLine(LineScenario):
         return np.array(self.q_m)
 
 
-# the template of the cases of a study
-RANDOM_PULL = StartedLine(
+RANDOM_PULL = StartedLine(  # the template of the cases of a study
     "random-pull", 8.0, "a random pull of a study", "guiding", (0, 0, 0), (0, 0, 0), 1.0, ()
 )

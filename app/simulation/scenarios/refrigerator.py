@@ -31,7 +31,6 @@ _RANGES = {
     "radial_guess": (-60.0, 60.0, "deg"),
     "opening_rate": (0.5, 6.0, "deg/s"),
 }
-
 _FIRMNESS = {
     "task.posture_stiffness": 100.0,  # [1/s²]
     "task.posture_damping": 20.0,  # [1/s]
@@ -113,12 +112,11 @@ class RefrigeratorScenario(Scenario):
         x, y, heading = base_pose.tolist()
         q_m, T_ee = find_grasp(model, data.pairs, d_b, (x, y, heading), door, angle, seed=seed)
         holding, holding_data = with_door(model, data, door, T_ee.inverse() * door.pose(angle))
-        return Setting(
-            holding, holding_data, base_pose, q_m, self.adapted(config), OpenDoor(door, angle)
-        )
+        held = OpenDoor(door, angle)
+        return Setting(holding, holding_data, base_pose, q_m, self.adapted(config), held)
 
     def adapted(self, config: Config) -> Config:
-        """Raise the posture task's gains and the cost of base motion to the minima for a held door.
+        """Raise the posture task's gains and the cost of base motion to the minima `_FIRMNESS`.
         With low gains, the door's force, which the controller does not model, would swing the
         elbow; with a low cost, the base would move to maintain the arm's posture.
         """

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import coal
@@ -17,6 +18,7 @@ from app.robot.model import RobotModel, kept_per_model, length_bound
 from app.robot.state import RobotState, at_rest, geometry_data
 from app.simulation.plants.collision_shapes import FLOOR, geometry_with_floor
 from app.simulation.plants.door import Door
+from app.simulation.scenarios.line import Point
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.words import spoken
 from app.strict import Array
@@ -25,7 +27,6 @@ _MAX_EVALUATIONS = 60  # [-] largest number of evaluations of the residual
 _JOINT_MARGIN = 0.03  # [-] margin to a limit in the least squares, relative to the joint's range
 _TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
 _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
-
 _PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # [rad] below the horizon, best first
 _SEEDS = 16  # starting points of the search for each pitch
 _POSITION_TOLERANCE = 1e-5  # [m] tolerance of the end-effector's position
@@ -37,7 +38,6 @@ _UPRIGHT = 0.94  # [-] smallest z component of an upright axis: a tilt of 20 deg
 _WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm, 1 mrad
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
 _CACHED = 100  # largest number of cached starts of a robot
-
 _ROLLS = np.radians([0.0, 90.0, 180.0, -90.0])  # [rad] of the end-effector about its z axis
 _ROLL_SEEDS = 80  # starting points of the search for each roll
 _GRASP_TOLERANCE = 1e-4  # [m] and [rad] tolerance of the grasp
@@ -47,24 +47,19 @@ _MAX_INSIDE = 0.07  # [m] largest depth of a pair in its buffer on the path
 _AHEAD = np.radians(np.arange(3, 94, 3))  # [rad] further door angles that are checked
 _CORRECTIONS = 4  # [-] Newton steps for each door angle
 _TO_START = 0.5  # [-] share of the return to the starting posture in each step
-
 OUT_OF_REACH = "out of the arm's reach"  # the reason if the end-effector misses its position
 
 Judge = Callable[[Array], float | str]
-"""Quality [-] of a valid posture (n_m,), above zero; otherwise at most zero, or the reason."""
+"""Quality [-] of a posture (n_m,), above zero if it is valid; or the reason why it is invalid."""
 
 
 class Target(NamedTuple):
-    """A position of the end-effector, and optionally a direction."""
-
     p: Array  # (3,) [m] position of the end-effector's origin, in the world
     z: Array | None = None  # (3,) unit vector of the end-effector's z axis, or None for any
 
 
 class Found(NamedTuple):
-    """The best of the tried postures."""
-
-    q_m: Array | None  # (n_m,) [rad or m] joint positions, or None if no posture is valid
+    q_m: Array | None  # (n_m,) [rad or m] the best of the tried postures, or None if none is valid
     quality: float  # [-] quality of the posture, 0 without a posture
     flaws: Counter[str]  # number of failed tries for each reason
 
@@ -113,8 +108,8 @@ class PostureSearch:
         enough: float = np.inf,
     ) -> Found:
         """Find the posture with the highest quality. `guesses` (n_m,) are starting points of the
-        search for the `target`, or without a target the postures themselves. The arm is placed into
-        each posture before `judge` is called. The search ends at the quality `enough` [-].
+        search for the `target`; without a target, they are the postures to judge. The arm is placed
+        into a posture before `judge` is called. The search ends at the quality `enough` [-].
         """
         best = Found(None, 0.0, Counter())
         for guess in guesses:
@@ -151,8 +146,8 @@ class PostureSearch:
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
         """`place` the arm; return the end-effector's weighted error (k,) and its Jacobian (k, n_m).
-        The error from a pose is the logarithm of the displacement in the end-effector's frame; that
-        from a `Target` is the error of the position and of the direction, if any.
+        For a pose, the error is the logarithm of the displacement to it in the end-effector's
+        frame; for a `Target`, the error of the position and, if specified, of the direction.
         """
         self.place(q_m)
         at, J = self.state.T_world_ee, self.J_ee
@@ -173,7 +168,7 @@ class PostureSearch:
         return self.state.J_ee[:, self.model.n_b :]
 
     def beyond(self, p: Array) -> float:
-        """[m] lower bound of the distance of a point p (3,) [m] from the workspace; ≤ 0 inside."""
+        """[m] lower bound of the distance of a point p (3,) [m] from the workspace, ≤ 0 inside."""
         x, y, heading = self._base_pose
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
         return float(np.linalg.norm(p - at)) - self._length
@@ -198,7 +193,7 @@ class PostureSearch:
         return "" if self.beyond_buffer() > margin else self.buffer_flaw()
 
     def buffer_flaw(self) -> str:
-        """The text that the nearest pair would be inside its buffer."""
+        """A message that names the nearest pair as one inside its buffer."""
         pair = self.names[int(np.argmin(self.distances()))]
         return f"{pair} would be inside its buffer of {self.d_b:g} m"
 
@@ -210,11 +205,10 @@ class PostureSearch:
 
 class StartSolver(PostureSearch):
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
-
-    The end-effector points away from the arm's mount and, without a path, downwards if possible; if
-    no such posture follows the whole path, it may point anywhere if the arm cannot choose this
-    direction freely. Every pair is outside its buffer, the arm is above the floor, and each joint
-    is away from its position limits.
+    The end-effector points away from the arm's mount and, without a path, downwards if possible. An
+    arm that cannot choose this direction freely may use any direction if no such posture exists, or
+    none follows the whole path. Every pair is outside its buffer, the arm is above the floor, and
+    each joint is away from its position limits.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -228,21 +222,20 @@ class StartSolver(PostureSearch):
 
     def solve(
         self,
-        p_ee: tuple[float, float, float],
+        p_ee: Point,
         *,
         seed: int = 0,
         turn: float = 0.0,
         tries: int = _SEEDS,
         along: Sequence[Array] = (),
     ) -> Array:
-        """Find a posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the world.
-
-        From the best posture, the arm follows most positions of the path `along` (3,) [m] while the
-        base is at rest and the orientation of the end-effector is constant; among equal postures,
-        the best has the largest margins. `turn` [rad] is the horizontal angle, positive to the
-        left, from the direction away from the mount to that of the end-effector; `tries` is the
-        number of starting points for each pitch. Without a posture, this raises an
-        UnreachableError with the reasons.
+        """Find the best posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the
+        world. `along` has further positions (3,) [m], a path. From the best posture, the arm
+        follows most of them while the base is at rest and the orientation of the end-effector is
+        constant; of several such postures, the one with the largest margins is best. `turn` [rad]
+        is the horizontal angle, positive to the left, from the direction away from the mount to
+        that of the end-effector; `tries` is the number of starting points for each pitch. If the
+        search finds no posture, this raises an UnreachableError with the reasons.
         """
         target, start = np.array(p_ee, dtype=float), f"start {point_text(p_ee)}"
         if not (np.isfinite(target).all() and target[2] > 0.0):
@@ -274,7 +267,7 @@ class StartSolver(PostureSearch):
     def _try(self, target: Target, guesses: Iterable[Array], along: Sequence[Array] = ()) -> Found:
         return self.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
-    def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
+    def slide(self, p_ee: Point, q_m: Array) -> Array:
         """Find the posture (n_m,) near `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m] in the
         same direction. An invalid posture raises an UnreachableError with the reason.
         """
@@ -286,7 +279,7 @@ class StartSolver(PostureSearch):
             raise UnreachableError(why, found.flaws)
         return found.q_m
 
-    def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
+    def reaches(self, p_ee: Point, *, seed: int = 0, tries: int = 4) -> bool:
         """Whether a search with at most `tries` tries finds a posture that reaches `p_ee` (3,) [m].
         The end-effector can have any direction; distances of pairs and floor are not checked.
         """
@@ -295,12 +288,15 @@ class StartSolver(PostureSearch):
             return False
         guesses = self.guesses(np.random.default_rng(seed), tries)
         found = self.best(
-            guesses, lambda _: self._off(target) < _POSITION_TOLERANCE, target=target, enough=1.0
+            guesses,
+            lambda _: float(self._off(target) < _POSITION_TOLERANCE),
+            target=target,
+            enough=1.0,
         )
         return found.q_m is not None
 
     def _off(self, target: Target) -> float:
-        """[m] distance of the end-effector from its target."""
+        """[m] distance of the end-effector from its target position."""
         return float(np.linalg.norm(self.state.T_world_ee.translation - target.p))
 
     def _judge(self, q: Array, target: Target, along: Sequence[Array]) -> float | str:
@@ -329,18 +325,15 @@ class StartSolver(PostureSearch):
         return followed + min(joints, 0.15) + min(mobility, 0.1)
 
 
-_Place = tuple[float, float, float]
-
-
 @kept_per_model(_CACHED)
 def find_start(
     model: RobotModel,
     pairs: LinkPairs,
     d_b: float,
-    p_ee: _Place,
+    p_ee: Point,
     *,
     seed: int = 0,
-    move: _Place | None = None,
+    move: Point | None = None,
 ) -> Array:
     """The posture (n_m,) of `StartSolver.solve`, read-only and cached. With `move` (3,) [m], the
     path of `solve` is the straight line of this displacement from `p_ee` (3,) [m].
@@ -354,14 +347,13 @@ def find_grasp(
     model: RobotModel,
     pairs: LinkPairs,
     d_b: float,
-    base_pose: _Place,
+    base_pose: Point,
     door: Door,
     angle: float,
     *,
     seed: int = 0,
 ) -> tuple[Array, pin.SE3]:
     """The arm's best posture (n_m,) at a door's handle, and the end-effector's pose; both cached.
-
     The end-effector is horizontal and points into the door; every pair is outside its buffer. From
     the best posture, which is read-only, the arm can follow the door over the largest range of
     further angles while the base moves back. `base_pose` is x, y [m] and heading [rad], `angle`
@@ -374,16 +366,15 @@ def find_grasp(
 
 class _GraspSearch(PostureSearch):
     def grasp(self, base_pose: Array, door: Door, angle: float, seed: int) -> tuple[Array, pin.SE3]:
-        """The result of `find_grasp`."""
         self._begin, self._door, self._angle = base_pose, door, angle
         self._front = float(MobileBody(self.model).upper[0])
         self.stand(base_pose)
         rng, best, target = np.random.default_rng(seed), Found(None, 0.0, Counter()), None
         handle, flaws = door.handle(angle).translation, Counter[str]()
         far = self.beyond(handle)
-        for self._roll in () if far > 0.0 else _ROLLS:
-            there = self._grasp(angle)
-            found = self.best(self.guesses(rng, _ROLL_SEEDS), self._judge, target=there)
+        for roll in () if far > 0.0 else _ROLLS:
+            there, judge = self._grasp(angle, roll), partial(self._judge, roll)
+            found = self.best(self.guesses(rng, _ROLL_SEEDS), judge, target=there)
             flaws.update(found.flaws)
             if found.quality > best.quality:
                 best, target = found, there
@@ -397,25 +388,25 @@ class _GraspSearch(PostureSearch):
             )
         return best.q_m, target
 
-    def _grasp(self, angle: float) -> pin.SE3:
-        """End-effector pose at the handle, for a door angle [rad] and the present roll."""
-        turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, self._roll), np.zeros(3))
+    def _grasp(self, angle: float, roll: float) -> pin.SE3:
+        """End-effector pose at the handle, for a door angle and a roll about its z axis [rad]."""
+        turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
         return self._door.handle(angle) * turn
 
-    def _judge(self, q_m: Array) -> float | str:
+    def _judge(self, roll: float, q_m: Array) -> float | str:
         """[-] `_room_ahead` of a posture at the handle, or the reason why it is no valid grasp."""
-        room = self._room(self._grasp(self._angle), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
+        room = self._room(self._grasp(self._angle, roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
         if not isinstance(room, str):
-            room = self._room_ahead(q_m, room)
+            room = self._room_ahead(roll, q_m, room)
             self.stand(self._begin)
         return room
 
-    def _room_ahead(self, q_start: Array, room: float) -> float:
+    def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
         """[-] number of further door angles that the arm can reach, plus the smallest `_room`."""
         q_m, followed = q_start, 0
         for turned in _AHEAD:
             angle = self._angle + turned
-            target = self._grasp(angle)
+            target = self._grasp(angle, roll)
             self.stand(self._backed_off(angle))
             for _ in range(_CORRECTIONS):  # to the target, and in its null space towards `q_start`
                 error, J = self.linearised(q_m, target)
@@ -428,7 +419,7 @@ class _GraspSearch(PostureSearch):
         return followed + room
 
     def _backed_off(self, angle: float) -> Array:
-        """(3,) pose of the base, moved back if the door's free edge is within d_b of its front."""
+        """(3,) initial base pose, moved back if the door's free edge is within d_b of its front."""
         door, (x, y, heading) = self._door, self._begin
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         forwards = np.array([np.cos(heading), np.sin(heading)])
@@ -436,7 +427,7 @@ class _GraspSearch(PostureSearch):
         return np.add(self._begin, [*min(gap - self.d_b, 0.0) * forwards, 0.0])
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, least: float) -> float | str:
-        """[-] margins of a posture at `target`, with pairs `least` [m] beyond d_b; or its flaw."""
+        """[-] margins of a posture at `target`, with pairs beyond d_b + `least` [m]; or a flaw."""
         self.place(q_m)
         if np.abs(pin.log6(self.state.T_world_ee.actInv(target)).vector).max() > tolerance:
             return "out of reach with the end-effector pointing into the door"
@@ -468,6 +459,6 @@ def _reasons(flaws: Counter[str]) -> str:
     return "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
 
 
-def point_text(point: tuple[float, float, float]) -> str:
+def point_text(point: Point) -> str:
     """The coordinates of a point for a message."""
     return "(" + ", ".join(f"{x:g}" for x in point) + ") m"

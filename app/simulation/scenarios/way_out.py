@@ -40,10 +40,11 @@ class WayOutScenario(Scenario):
     pair within the arm inside its buffer."""
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """A random posture, with the base at the origin. The seed draws a case first, because some
-        cases are rare: a pair and, for a pair of arm and base, whether the arm is above the base or
-        beside it. If no random posture belongs to it, another case follows. If all cases fail, this
-        raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
+        """A random posture, with the base at the origin; equal seeds give equal postures.
+        A case is drawn first, because some cases are rare among random postures: a pair and, for a
+        pair of arm and base, whether the arm is above the base or beside it. Random postures are
+        tried until one belongs to the case; if all fail, another case is drawn. If all cases fail,
+        this raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.start import PostureSearch
@@ -82,7 +83,9 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if pair i is the nearest, in the range `depth` [m], and the posture a valid start; or 0."""
+    """1 for a valid start, otherwise 0. Pair i must be the nearest, at a distance in the range
+    `depth` [m], the arm off the floor, and `above` the base (True), beside (False) or any (None).
+    """
     closest = search.monitor.find_closest_points()
     pair = closest[i]
     if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):
