@@ -81,10 +81,8 @@ def _bare(bare: dict[str, Bare]) -> Iterator[str]:
     whys = {"design": "only links of neighbouring bodies", "mistake": "links of other bodies"}
     for why, reaching in whys.items():
         if links := ", ".join(link for link, each in bare.items() if each == why):
-            yield (
-                f"extending beyond their bodies by {why}, because {reaching} can reach these "
-                f"parts: {links}"
-            )
+            beyond = f"extending beyond their bodies by {why}"
+            yield f"{beyond}, because {reaching} can reach these parts: {links}"
 
 
 def _bodies(robot: NewRobot) -> Grid:
@@ -120,10 +118,8 @@ def _verdict(robot: NewRobot) -> list[str]:
     ]
     if ready.nearest:
         where = "outside of" if ready.beyond_buffer >= 0.0 else "inside"
-        points.append(
-            f"in the ready posture, the nearest pair {ready.nearest} is "
-            f"{abs(ready.beyond_buffer):.3f} m {where} its buffer"
-        )
+        place = f"{abs(ready.beyond_buffer):.3f} m {where} its buffer"
+        points.append(f"in the ready posture, the nearest pair {ready.nearest} is {place}")
     return points
 
 
@@ -217,7 +213,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """PNG of counted reachabilities (means over spherical shells) and fits (9); None if none."""
+    """PNG of counted reachabilities (means over spherical shells) and fits (9); None without."""
     counted = [(name, r.counted, r.fit) for name, r in robot.reach.items() if r.counted and r.fit]
     if not counted:
         return None

@@ -81,7 +81,7 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
 
 
 def _put(log: Context, topic: str, t: float, message: Any) -> None:
-    """Append a message of ROS or foxglove at t [s]; an equal topic has the same channel again."""
+    """Append a message of ROS or foxglove at t [s]; foxglove reuses the channel of a topic."""
     if kind := getattr(message, "__msgtype__", ""):
         schema, encoding = _ros_schema(kind), "cdr"
         content = bytes(_STORE.serialize_cdr(message, kind))
@@ -217,10 +217,15 @@ def _model(
     end: str = ".glb",
     scale: Iterable[float] = (1.0, 1.0, 1.0),
 ) -> fg.ModelPrimitive:
-    """The mesh file `content` with the ending `end`; a `colour` replaces the file's own ones."""
-    about = {"scale": fg.Vector3(**_xyz(scale)), "media_type": f"model/{_MEDIA[end]}"}
-    shown = {"color": colour, "override_color": colour is not None}
-    return fg.ModelPrimitive(pose=_pose(T), data=content, **about, **shown)
+    """A mesh file with the ending `end` at the pose T; a `colour` replaces the file's own ones."""
+    return fg.ModelPrimitive(
+        pose=_pose(T),
+        scale=fg.Vector3(**_xyz(scale)),
+        color=colour,
+        override_color=colour is not None,
+        media_type=f"model/{_MEDIA[end]}",
+        data=content,
+    )
 
 
 def _markers(s: Snapshot) -> list[fg.SceneEntity]:
@@ -242,8 +247,7 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
     size = fg.Vector3(x=0.025, y=0.025, z=0.025)
     balls = [fg.SpherePrimitive(pose=pose, size=size, color=_INSIDE) for pose in poses]
     person = _arrow(s.p_ee, s.hand_force, _GREY)
-    stamp = _header(s.t, WORLD).stamp
-    about = {"timestamp": fg.Timestamp(stamp.sec, stamp.nanosec), "frame_id": WORLD}
+    about = {"timestamp": fg.Timestamp(*_stamp(s.t)), "frame_id": WORLD}
     return [
         fg.SceneEntity(id="closest points", lines=lines, **about),
         fg.SceneEntity(id="avoidance", arrows=forces, spheres=balls, **about),
@@ -277,10 +281,16 @@ def _xyz(values: Iterable[float]) -> dict[str, float]:
 
 def _frame(t: float, parent: str, child: str, T: pin.SE3) -> Any:
     place = _ROS["geometry_msgs/msg/Vector3"](*T.translation)
-    motion = _ROS["geometry_msgs/msg/Transform"](place, pin.Quaternion(T.rotation))
+    turn = _ROS["geometry_msgs/msg/Quaternion"](*pin.Quaternion(T.rotation).coeffs())
+    motion = _ROS["geometry_msgs/msg/Transform"](place, turn)
     return _ROS["geometry_msgs/msg/TransformStamped"](_header(t, parent), child, motion)
 
 
 def _header(t: float, frame: str) -> Any:
-    stamp = _ROS["builtin_interfaces/msg/Time"](*divmod(round(1e9 * t), 10**9))
+    stamp = _ROS["builtin_interfaces/msg/Time"](*_stamp(t))
     return _ROS["std_msgs/msg/Header"](stamp, frame)
+
+
+def _stamp(t: float) -> tuple[int, int]:
+    """Seconds and nanoseconds of a time t [s]."""
+    return divmod(round(1e9 * t), 10**9)
