@@ -71,7 +71,8 @@ def check_robot(
 
     `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
     called with the name of each step before it begins. `processes` (default: the number of usable
-    cores) sample the border: the complete one or, with `sampling`, one of these parameters.
+    cores) sample the border. `sampling` has the parameters of a coarser border; None means the
+    complete border.
     """
     tell("loading the robot")
     try:
@@ -231,9 +232,8 @@ def base_row(model: RobotModel) -> Row:
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Check that pairs of bodies detect the collisions of links in random postures.
-
-    The section *Undetected collisions* of docs/other_robots.md has the condition of each outcome.
+    """Check that pairs of bodies detect the collisions of links in random postures. The section
+    *Undetected collisions* of docs/other_robots.md has the condition of each outcome.
     """
     found = detection_of(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
@@ -298,11 +298,11 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
     weak = float((borne < person).mean())
     text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
     if weak > warn.OFTEN:
-        text = (
-            f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the "
-            "postures near the base the joint torques resist only a smaller force; in the worst "
-            f"{warn.OFTEN:.0%} they resist {np.quantile(borne, warn.OFTEN):.0f} N or less"
-        )
+        worst = f"they resist {np.quantile(borne, warn.OFTEN):.0f} N or less"
+        share = f"{weak:.0%} of the postures near the base"
+        resist = f"in {share} the joint torques resist only a smaller force"
+        text = f"a person with {person:g} N can push the arm against the base: {resist}"
+        text += f"; in the worst {warn.OFTEN:.0%} {worst}"
     elif weak > 0.0:
         text += f"; in {weak:.0%} of the postures, a push of {person:g} N is too strong for them"
     return Row("push", "warned" if weak > warn.OFTEN else "passed", text, numbers)
@@ -385,9 +385,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
-    """Guide the end-effector towards the base, and compare with a run without avoidance.
-
-    The section *Guiding runs* of docs/other_robots.md has the condition of each outcome.
+    """Guide the end-effector towards the base, and compare with a run without avoidance. The
+    section *Guiding runs* of docs/other_robots.md has the condition of each outcome.
     """
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario

@@ -252,15 +252,14 @@ def base_numbers(
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
     if wheels.steering:
         factor, inertia = 1.0, f"measured: {about}, about the rear axle"
+    weight = "with the whole weight on driven wheels"
+    friction = f"assumed: friction coefficient {_FRICTION:g}, {weight}"
     found = _geometry(kind, wheels, half_track) | {
         "mass_kg": (round(mass, 2), weighed),
         "inertia_kgm2": (round(factor * yaw, 3), inertia),
         "max_linear_velocity_mps": (round(v, 3), limit),
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
-        "traction_limit_n": (
-            round(_FRICTION * 9.81 * mass, 1),
-            f"assumed: friction coefficient {_FRICTION:g}, with the whole weight on driven wheels",
-        ),
+        "traction_limit_n": (round(_FRICTION * 9.81 * mass, 1), friction),
         "drive_time_constant_s": (0.05, "assumed: half of a 10 Hz command period"),
     }
     if kind != "car-like":  # the steering limits its angular velocity

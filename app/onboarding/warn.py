@@ -93,11 +93,11 @@ def _postures(robot: NewRobot) -> Iterator[str]:
 def _bodies(robot: NewRobot) -> Iterator[str]:
     verdict, meetings, found = robot.verdict, robot.meetings, robot.detection
     if found.undetected:
-        yield (
-            f"no pair detects the collision in {found.share:.1%} of the colliding random postures; "
-            f"most are of {found.worst}; bodies that are neighbours or close by design are no "
-            f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
-        )
+        postures = f"{found.share:.1%} of the colliding random postures"
+        why = "bodies that are neighbours or close by design are no pair"
+        helps = f"try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
+        most = f"most are of {found.worst}"
+        yield f"no pair detects the collision in {postures}; {most}; {why}: {helps}"
     if found.left_out:
         postures = f"{found.left_out} of {found.looked_at:,} random postures"
         why = "they are neighbours or close by design"

@@ -40,7 +40,7 @@ _OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass from the sh
 _ROUNDING = 1e-5  # [-] smallest excess of the sum of two moments over the third, relative to it
 _TINY = 1e-9  # [kg] or [kg m²] largest value that counts as zero
 _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
-_BEGIN = 1 << 16  # [bytes] beginning of a file, searched for damage
+_BEGIN = 1 << 16  # [bytes] length of the beginning of a file that is searched for damage
 _MARK = codecs.BOM_UTF8  # which many readers take for a part of the first word
 _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
@@ -67,9 +67,7 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] up to 1,500 corners of each hull, and up to 1,500 random points on its faces,
-        in the link's frame; equal hulls have equal points.
-        """
+        """(N, 3) [m] up to 1,500 corners and 1,500 random points of each hull, in link's frame."""
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
             count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
@@ -151,15 +149,15 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     name, begin = f"mesh {path}", b""
     end, size = path.suffix[1:].lower() or "stl", path.stat().st_size
     try:
-        with path.open("rb") as file:  # a file, not a path, so that no texture is read
-            begin = file.read(_BEGIN)
+        with path.open("rb") as raw:  # a file, not a path, so that no texture is read
+            begin = raw.read(_BEGIN)
             if end != "3mf":  # which is an archive
                 refuse_placeholder(begin, name)
             if end == "dae":
                 _states_unit(path)
-            file.seek(len(_MARK) if begin.startswith(_MARK) else 0)
+            raw.seek(len(_MARK) if begin.startswith(_MARK) else 0)
             scene = trimesh.load(
-                file, file_type=end, force="scene", skip_materials=True, process=False
+                raw, file_type=end, force="scene", skip_materials=True, process=False
             )
         assert isinstance(scene, trimesh.Scene)
         scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
@@ -217,9 +215,7 @@ def _states_unit(path: Path) -> bool:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether `new-robot` has to convert a mesh file to STL, because other libraries cannot read
-    the file, ignore its unit or up axis, or read it very slowly.
-    """
+    """Whether a mesh has to become an STL file: other libraries misread it, or are very slow."""
     end, large = path.suffix.lower(), path.stat().st_size > _HEAVY
     with path.open("rb") as file:
         marked = file.read(len(_MARK)) == _MARK
@@ -343,9 +339,7 @@ def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
 
 
 def _stated(link: Element) -> pin.Inertia | None:
-    """The inertia that a URDF states for a link, in the link's frame, or None. A negative
-    mass or moment raises a RobotFileError.
-    """
+    """The inertia that the URDF states, in the link's frame, or None; refuses a negative one."""
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None

@@ -152,9 +152,9 @@ def number(
     """
     single = "{" not in template
     if often and not isinstance(source, str) and (source is None or not single):
-        why = f"{template}: `source` must be an attribute of `Step`, or compute one number"
-        helps = "the value is recorded at each control step; otherwise use `drawn`"
-        raise ValueError(f"{why}, because {helps}")
+        must = f"{template}: `source` must be an attribute of `Step`, or compute one number"
+        why = "the value is recorded at each control step; otherwise use `drawn`"
+        raise ValueError(f"{must}, because {why}")
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(name, kind, optional, often) for name in column_names(template, meta)]

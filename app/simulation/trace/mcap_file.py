@@ -49,6 +49,7 @@ from app.system import write_whole
 
 WORLD = "world"  # name of the world's frame
 Records = Iterable[Mapping[str, Any]]  # fields of each record
+Materials = Mapping[str | None, Element]  # materials of the robot by name
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
 _BODY = fg.Color(r=0.25, g=0.6, b=0.9, a=0.4)
@@ -56,6 +57,7 @@ _GREY = fg.Color(r=0.6, g=0.6, b=0.6, a=1)
 _INSIDE = fg.Color(r=1, g=0.7, b=0.1, a=1)  # of the buffer
 _CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
 _MEDIA = {".glb": "gltf-binary", ".stl": "stl", ".obj": "obj", ".dae": "vnd.collada+xml"}
+_UNSCALED = np.ones(3)  # [-] scale of a mesh in metres
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 _STORE: Any = get_typestore(Stores.ROS2_JAZZY)
 _ROS = _STORE.types  # constructors of messages by their types
@@ -190,9 +192,7 @@ def _fields(names: Iterable[str]) -> list[str]:
     return list(found.values())
 
 
-def _visual(
-    visual: Element, materials: dict[str | None, Element], link: str
-) -> fg.ModelPrimitive | None:
+def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
     """A visual of a link; None without a shape, or if a mesh is too large or of unknown format."""
     where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
@@ -211,11 +211,7 @@ def _visual(
 
 
 def _model(
-    T: pin.SE3,
-    content: bytes,
-    colour: fg.Color | None,
-    end: str = ".glb",
-    scale: Iterable[float] = (1.0, 1.0, 1.0),
+    T: pin.SE3, content: bytes, colour: fg.Color | None, end: str = ".glb", scale: Array = _UNSCALED
 ) -> fg.ModelPrimitive:
     """A mesh file with the ending `end` at the pose T; a `colour` replaces the file's own ones."""
     return fg.ModelPrimitive(
@@ -247,7 +243,8 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
     size = fg.Vector3(x=0.025, y=0.025, z=0.025)
     balls = [fg.SpherePrimitive(pose=pose, size=size, color=_INSIDE) for pose in poses]
     person = _arrow(s.p_ee, s.hand_force, _GREY)
-    about = {"timestamp": fg.Timestamp(*_stamp(s.t)), "frame_id": WORLD}
+    time = fg.Timestamp(*divmod(round(1e9 * s.t), 10**9))  # seconds and nanoseconds
+    about = {"timestamp": time, "frame_id": WORLD}
     return [
         fg.SceneEntity(id="closest points", lines=lines, **about),
         fg.SceneEntity(id="avoidance", arrows=forces, spheres=balls, **about),
@@ -287,10 +284,5 @@ def _frame(t: float, parent: str, child: str, T: pin.SE3) -> Any:
 
 
 def _header(t: float, frame: str) -> Any:
-    stamp = _ROS["builtin_interfaces/msg/Time"](*_stamp(t))
+    stamp = _ROS["builtin_interfaces/msg/Time"](*divmod(round(1e9 * t), 10**9))
     return _ROS["std_msgs/msg/Header"](stamp, frame)
-
-
-def _stamp(t: float) -> tuple[int, int]:
-    """Seconds and nanoseconds of a time t [s]."""
-    return divmod(round(1e9 * t), 10**9)

@@ -314,11 +314,9 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
 
 def _off_target(model: RobotModel, step: Step) -> Stuck:
-    """Where the end-effector is in a step with a reference, and why it is not at its target.
-
-    "links too near": rows of T_sca for pairs within the arm, which precede the end-effector's task,
-    are active. "border against end-effector": the avoidance moves the base, and thus the
-    end-effector, away from the target.
+    """Where the end-effector is in a step with a reference, and why it is not at its target. With
+    "links too near", rows of T_sca for pairs within the arm, which precede the end-effector's task,
+    are active. With "border against end-effector", avoidance moves the base away from the target.
     """
     state, n_b, q_m, reference = RobotState(model), model.n_b, step.truth.q_m, step.reference
     assert reference is not None
