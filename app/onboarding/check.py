@@ -134,8 +134,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
     with closing(engine):
         for q_m in sample_joints(model, 20, rng):
             qd = np.concatenate([rng.uniform(-1, 1, n_b), rng.uniform(-0.5, 0.5, model.n_m)])
-            base_velocity = model.J_m @ qd[:n_b]
-            state.update(Measurement(np.zeros(3), base_velocity, q_m, qd[n_b:]))
+            state.update(Measurement(np.zeros(3), model.J_m @ qd[:n_b], q_m, qd[n_b:]))
             ours = (state.M, state.h)
             for key, theirs, own in zip(worst, engine.mass_and_bias(q_m, qd), ours, strict=True):
                 worst[key] = max(worst[key], float(np.abs(theirs - own).max() / np.abs(own).max()))
@@ -227,8 +226,8 @@ def base_row(model: RobotModel) -> Row:
         return Row("base's body", "failed", "the base's links have no shapes", {})
     out = float(MobileBody(model).distance(points).max())
     text = f"the base's meshes extend beyond its body by at most {max(out, 0.0):.4f} m"
-    good = out <= 0.01
-    return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
+    outcome: Outcome = "passed" if out <= 0.01 else "failed"
+    return Row("base's body", outcome, text, {"sticks_out_m": out})
 
 
 def arm_row(model: RobotModel) -> Row:

@@ -56,10 +56,9 @@ class Whole(NamedTuple):
 def whole_robot(request: Request) -> Whole:
     """Read the robot from one or two files, with distinct names and one joint per telescope.
 
-    Raises:
-        RobotFileError: A file is not a URDF, --base or --tip is no link, or no arm is between them.
-        UnknownNameError: No xacro declares an argument of --xacro.
-        AssetError: A package is not installed.
+    A RobotFileError is raised if a file is not a URDF, --base or --tip is no link, or no arm is
+    between them; an UnknownNameError if no xacro declares an argument of --xacro; and an AssetError
+    if a package is not installed.
     """
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")

@@ -67,7 +67,7 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] up to 1,500 corners and 1,500 random points of each hull, in link's frame."""
+        """(N, 3) [m] in the link's frame: up to 1,500 corners and random points of each hull."""
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
             count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
@@ -125,7 +125,7 @@ def _hull(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """The shape alone or, for a mesh, nearly convex pieces, so that hulls meet where links do."""
+    """The shape alone or, for a mesh, nearly convex pieces: hulls then meet only where links do."""
     if shape.kind != "mesh":
         return [shape]
     whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
@@ -193,8 +193,8 @@ def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
         return "; its numbers have decimal commas: export it with points"
     facets, stated = stated_stl(begin)
     if end == "stl" and b"\0" in begin and size != stated:
-        stated_size = f"it states {facets:,} triangles, which are {stated:,} bytes"
-        return f"; {stated_size}, but it has {size:,} bytes: copy or export it again"
+        expected = f"it states {facets:,} triangles, which are {stated:,} bytes"
+        return f"; {expected}, but it has {size:,} bytes: copy or export it again"
     return ""
 
 

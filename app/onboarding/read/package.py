@@ -93,7 +93,7 @@ def _check_size(archive: Path) -> None:
 
 
 def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    """The files of a zip by their paths, without folders; an error if too many or duplicate."""
+    """The files of a zip by their paths, without folders; refuses too many, large or equal ones."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         why = f"it expands to {total / 1e6:,.0f} MB"
@@ -191,7 +191,7 @@ def _stored(name: str) -> Iterator[str]:
 
 
 def _as_stored(name: bytes) -> str:
-    """The bytes of a name read by code page 437, as Python does; 0x5C becomes %5C, 0xFF %FF."""
+    """A name's bytes, read by code page 437 as `zipfile` does; 0x5C becomes %5C, and 0xFF %FF."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 

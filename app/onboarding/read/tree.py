@@ -124,10 +124,9 @@ def _some(names: Iterable[str]) -> str:
 
 
 def make_tree(robot: Element) -> Tree:
-    """Read the links and joints of a URDF, and check that they form a tree.
+    """Read links and joints of a URDF; each visual in `robot` gets one material, named by colour.
 
-    In `robot`, the materials of each visual become one material, which is named by its colour. A
-    RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
+    A RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
     missing link, the links are not a tree, or a number is invalid.
     """
     for tag in ("link", "joint"):
@@ -306,9 +305,7 @@ def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse a base with an ancestor that has shapes or other children; ancestors above a planar or
-    floating joint do not count.
-    """
+    """Refuse a base whose ancestors, up to a joint of `FREE`, have shapes or other children."""
     above = reversed(tree.chain(tree.root, base))
     for joint in takewhile(lambda each: each.kind not in FREE, above):
         parent = joint.parent

@@ -92,7 +92,7 @@ class _Base(NamedTuple):
         return _Wheel(joint, centre, axis, r, how, float(centre[2] - r))
 
     def rigid_wheel(self, joint: Joint) -> _Wheel:
-        """The `wheel` on a joint; a RobotFileError unless it `turns_round` on a rigid link."""
+        """The `wheel` on a joint that `turns_round` on one of `Arm.rigid_links`; else an error."""
         if not turns_round(joint):
             raise RobotFileError(f"{joint.name} is not a wheel: it is {joint.kind}")
         if joint.parent in self.arm.rigid_links:
@@ -126,9 +126,7 @@ class _Base(NamedTuple):
         return False
 
     def suspends(self, joint: Joint, wheels: Sequence[_Wheel]) -> bool:
-        """Whether a joint is a spring with a travel of less than half of the wheels' radius, or a
-        rocker, which turns about a level axis between its wheels.
-        """
+        """Whether a joint is a short spring (`_TRAVEL`), or a rocker with a level axis."""
         if joint.kind == "prismatic":
             return _range(joint) < _TRAVEL * min(wheel.r for wheel in wheels)
         axis, at = self.axis(joint), self.pose(joint.child).translation
@@ -194,9 +192,9 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
     if named is not None:
         left, right = map(base.named_wheel, named)
         if not _mirrored([left, right]):
-            unlike = f"{left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
-            unlike += f"{right.r:.4f} m are not two equal wheels on one axle"
-            raise RobotFileError(f"--wheels: {unlike}: name one wheel on each side")
+            one, other = (f"{each.joint.name} of {each.r:.4f} m" for each in (left, right))
+            unlike = "are not two equal wheels on one axle: name one wheel on each side"
+            raise RobotFileError(f"--wheels: {one} radius and {other} {unlike}")
     elif pairs := _mirrored(wheels):
         lowest = min(left.bottom for left, _ in pairs)
         pairs = [pair for pair in pairs if pair[0].bottom < lowest + _SAME_PLACE]
@@ -220,7 +218,7 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The drive of two wheels, and of those in `wheels` that are alike and in line with them."""
+    """The drive of two wheels, and of all `wheels` of their radius and height ahead or behind."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])
@@ -249,8 +247,7 @@ def _range(joint: Joint) -> float:
 
 def _radius(joint: Joint, places: Mapping[str, pin.SE3], geometry: Geometry) -> tuple[float, str]:
     """[m] radius of all shapes about a joint's axis, and its source. A RobotFileError is raised if
-    there is no shape, or if the shapes are not round. `places` has T_child_link of each link that
-    is fixed to the joint's child link.
+    shapes are missing or not round. `places` has T_child_link of links fixed to the joint's child.
     """
     shapes = [(s, T) for link, T in places.items() for s in geometry[link].shapes]
     if not shapes:

@@ -13,8 +13,7 @@
 | `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | at the start and each change |
 
 The schemas `foxglove.…` and `dbb.…` are Protobuf. The others are ROS 2 messages, because Rerun
-reads robots and named curves only from ROS 2 messages. With `--ros`, a file has only the first
-three topics.
+reads robots and named curves only from ROS 2 messages. `--ros` writes only the first three topics.
 """
 
 import io

@@ -201,8 +201,7 @@ class Recorder:
 
     def _begin(self, session: Session, step: Step) -> None:
         """Prepare the rows: the attributes of steps, then the computed numbers."""
-        base = session.model.body_names[0]
-        pairs = {pair.name: pair.a == base for pair in step.control.pairs}
+        pairs = {p.name: p.a == session.model.body_names[0] for p in step.control.pairs}
         scenario = self._scenario.name if self._scenario else ""
         about = {"scenario": scenario, "physics": session.kind, "seed": session.seed}
         self._meta = TraceMeta.of(session.model, pairs, session.config, **about)
