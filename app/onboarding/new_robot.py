@@ -129,16 +129,14 @@ def _make_robot(
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
         ready, rule = judge_ready(model, data.pairs, np.array(request.ready, float)), "from --ready"
-    base = numbers.base_numbers(
-        model, parsed.wheels, parsed.inertias, ready.q_m, request.half_track
-    )
+    q_m, b = ready.q_m, request.half_track
+    base = numbers.base_numbers(model, parsed.wheels, parsed.inertias, q_m, b)
     arm = {
-        "ready_position": (tuple(ready.q_m.tolist()), rule),
+        "ready_position": (tuple(q_m.tolist()), rule),
         "joint_damping": (numbers.damping(parsed.limits, parsed.arm, model), _DAMPING),
     }
-    content = write.description(
-        request, parsed, fitted.bodies, (base, arm), fitted.verdict.unwatched
-    )
+    unwatched = fitted.verdict.unwatched
+    content = write.description(request, parsed, fitted.bodies, (base, arm), unwatched)
     work.tell("counting the reachability")
     near = {pair.b for pair in data.pairs.mobile}
     reach = {body: each for body, each in counted if body in near}

@@ -196,9 +196,8 @@ def _within(value: float | None, most: float) -> float:
 
 
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
-    """The inertias of all links; a large assumed total mass of the base's links is reduced.
-
-    Large bases are hollow: above `_COMPACT`, the mass grows with the power 2/3 of the volume.
+    """The inertias of all links; a large assumed total mass of the base's links is reduced. Large
+    bases are hollow: above `_COMPACT`, the mass grows with the power 2/3 of the volume.
     """
     if (total := assumed_mass(inertias, base_links)) <= _COMPACT:
         return inertias
@@ -235,9 +234,8 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 def base_numbers(
     model: RobotModel, wheels: Wheels, inertias: Inertias, q_m: Array, half_track: float | None
 ) -> Sourced:
-    """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
-
-    `half_track` [m] is that of --half-track; None means half of the distance between the wheels.
+    """Numbers of the base with their sources; q_m (n_m,) is the ready posture. `half_track` [m] is
+    that of --half-track; None means half of the distance between the wheels.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))

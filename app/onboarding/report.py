@@ -251,8 +251,7 @@ def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """`Bare` of each link that extends beyond its body by more than 5 mm, by the link's name.
-
+    """`Bare` of each link that extends beyond its body by more than 5 mm, by the link's name;
     `placed` are the poses of the joint frames (`placements`) in the ready posture.
     """
     found: dict[str, Bare] = {}

@@ -199,9 +199,8 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
-    """Values by their names, from an option's entries `NAME=…` or, as in ROS, `NAME:=…`.
-
-    An entry of another form raises a `ConfigError` whose message calls the value `what`.
+    """Values by name, from an option's entries `NAME=…` or, as in ROS, `NAME:=…`. An entry of
+    another form raises a `ConfigError` whose message calls the value `what`.
     """
     found = {}
     for each in entries:

@@ -209,10 +209,8 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Warn of links beside the arm that can move more than 5 mm out of their body.
-
-    There is a warning for each body and each link of the chain that carries such links; it names
-    the link that moves farthest.
+    """Warn of links beside the arm that can move more than 5 mm out of their body; only of the link
+    that moves farthest, for each body and each link of the arm's chain that carries such links.
     """
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
@@ -231,9 +229,8 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes.
-
-    The points (N, 3) [m] are in the frame of the body's joint.
+    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes. The
+    points (N, 3) [m] are in the frame of the body's joint.
     """
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
@@ -391,9 +388,8 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def _near_postures(model: RobotModel) -> Array:
-    """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base.
-
-    If fewer than 25 of 2,000 random postures qualify, the distance does not matter. If all have
+    """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base. If
+    fewer than 25 of 2,000 random postures qualify, the distance does not matter. If all have
     contact, the only posture is that of the lower limits.
     """
     pairs, q_m = candidate_pairs(model), sample_joints(model, _SAMPLES, np.random.default_rng(0))

@@ -170,10 +170,8 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 
 
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
-    """Add the source of each number as a comment.
-
-    The comment has the whole source if this is shorter than 80 characters and has a semicolon;
-    otherwise, it has the part of the source before the first colon.
+    """Add the source of each number as a comment: the whole source if it has a semicolon and less
+    than 80 characters, otherwise its part before the first colon.
     """
     for key, value in content.items():
         if isinstance(value, Mapping):

@@ -260,9 +260,8 @@ class History:
         return self._latest
 
     def add(self, snapshot: Snapshot) -> None:
-        """Append a snapshot, which replaces the newest one if both have the same time.
-
-        A snapshot of another run, or of an earlier time, replaces all.
+        """Append a snapshot, which replaces the newest one if both have the same time. A snapshot
+        of another run, or of an earlier time, replaces all.
         """
         newest, stored = self._latest, Stored(snapshot)
         if newest is None or not snapshot.follows(newest):
