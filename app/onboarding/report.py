@@ -213,7 +213,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """PNG of counted reachabilities (means over spherical shells) and fits (9); None without."""
+    """PNG of counted reachabilities (means over spherical shells) with their fits (9), or None."""
     counted = [(name, r.counted, r.fit) for name, r in robot.reach.items() if r.counted and r.fit]
     if not counted:
         return None

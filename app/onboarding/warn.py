@@ -33,7 +33,7 @@ OFTEN = 0.25  # [-] share of postures above which there is a warning
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
-    """All warnings except that of `push_row`, one sentence each; the most serious ones first."""
+    """All warnings except that of `push_row`, one sentence each, the most serious ones first."""
     return [
         *_scale(robot),
         *_places(robot),
@@ -357,7 +357,7 @@ def _larger_part(v: Array) -> float:
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
-    """A warning of base motions that the arm often (over 25 %) cannot compensate, or "" without."""
+    """A warning of base motions that the arm often (over 25 %) cannot compensate, or empty."""
     often = [each for each in carried if each.place > OFTEN]
     if not often:
         return ""

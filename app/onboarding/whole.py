@@ -183,7 +183,7 @@ def _joined(
     places: Sequence[pin.SE3],
     sums: Sequence[float],
 ) -> Iterator[Joint]:
-    """The changed joints of a telescope, and other joints that follow one of its `parts`, changed.
+    """The changed joints: those of a telescope, and other joints that follow one of its `parts`.
 
     `places` are the poses of the parts relative to the parent of the first one. `sums` are the
     total travels of the parts along the axis of the first one, for a unit travel of the leader.

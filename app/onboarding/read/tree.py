@@ -197,7 +197,7 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     if unstated:
         limits[unstated] = 0.0
     T, axis = origin(element, where), axis / max(length, 1e-12)
-    return Joint(name, kind, *ends, T, axis, mimic=mimic, unstated=unstated, **limits)
+    return Joint(name, kind, ends[0], ends[1], T, axis, mimic=mimic, unstated=unstated, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:
