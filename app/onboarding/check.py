@@ -349,8 +349,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair with l_m has points at the heights that the arm reaches,
     from the floor to the top of l_m.
 
-    The check fails if all borders are empty. It warns if no pair has l_m, or of a gap between the
-    lowest and the highest point of a border. Below and above these points, the exact offset of l_m
+    The check fails if all borders are empty. It warns if no pair has l_m, or if a border has a gap
+    between its lowest and its highest point. Below and above these points, the exact offset of l_m
     replaces the border.
     """
     if not data.clouds:

@@ -36,7 +36,7 @@ ARM_DENSITY = 1200.0  # [kg/m³] of the hulls of an arm's links; a Panda's have 
 BASE_DENSITY = 450.0  # [kg/m³] of the hulls of a base's links; a Husky has 400, an LD-60 480
 _GUESS = 1.0  # [kg m²] largest moment of inertia that is a rough guess, for any mass
 _GYRATION = 5.0, 10.0  # [m], [-] largest radius of gyration; the second is relative to the shapes
-_OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass from the shapes, likewise
+_OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass; second relative to shapes
 _ROUNDING = 1e-5  # [-] smallest excess of the sum of two moments over the third, relative to it
 _TINY = 1e-9  # [kg] or [kg m²] largest value that counts as zero
 _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
@@ -67,7 +67,7 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] in the link's frame: up to 1,500 corners and random points of each hull."""
+        """(N, 3) [m] corners, and random points, up to 1,500 of each hull, in the link's frame."""
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
             count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
@@ -135,7 +135,7 @@ def in_pieces(shape: LinkShape) -> list[LinkShape]:
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
-    """A shape after each of `motions` (in the link's frame) as one shape, with one hull."""
+    """The union of a shape after each of `motions` (in the link's frame), with one hull."""
     corners = np.asarray(shape.hull.vertices)
     hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in motions]))
     meshes = [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
@@ -224,7 +224,7 @@ def is_foreign(path: Path) -> bool:
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
     """The mesh or, if it has more than `MOST_FACES` triangles, one of about that many with nearly
-    the same hull. First, vertices in cubic cells with the edge `cell` [unit of the mesh] merge.
+    the same hull. Vertices in one cubic cell with the edge `cell`, in the mesh's unit, are merged.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh

@@ -126,7 +126,7 @@ class _Base(NamedTuple):
         return False
 
     def suspends(self, joint: Joint, wheels: Sequence[_Wheel]) -> bool:
-        """Whether a joint is a short spring (`_TRAVEL`), or a rocker with a level axis."""
+        """Whether a joint is a short spring, or a rocker with a level axis between its wheels."""
         if joint.kind == "prismatic":
             return _range(joint) < _TRAVEL * min(wheel.r for wheel in wheels)
         axis, at = self.axis(joint), self.pose(joint.child).translation

@@ -215,7 +215,7 @@ def _door() -> Quantity:
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
+    """[N] largest force of a person that the arm can resist; NaN without a person or a bound."""
     if not (step.pulls and step.control.solved):  # the fallback command respects no limits
         return NAN
     force, size = step.person.hand, math.hypot(*step.person.hand.tolist())
@@ -355,7 +355,7 @@ class Snapshot:
     duration_us: Annotated[float, number("duration_us", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, number("force_bound_n", _smallest_force_bound)] = NAN
-    """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
+    """[N] largest force of a person that the arm can resist; NaN without a person or a bound."""
     physics: str = ""  # name of the plant; empty if unknown
     seed: int | None = None  # seed of all random numbers; None if unknown
     run: int = 0  # number of the run since the start of the loop

@@ -303,7 +303,7 @@ class Stuck(NamedTuple):
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
-    """The end-effector's state if it is more than 1 mm away from a resting reference, or None."""
+    """Why the end-effector is more than 1 mm away from a resting reference; None if it is not."""
     reference = step.reference
     if reference is None or step.ee_error <= SHORT:
         return None
