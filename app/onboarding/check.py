@@ -71,7 +71,8 @@ def check_robot(
 
     `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
     called with the name of each step before it begins. `processes` (default: the number of usable
-    cores) sample the border. `sampling` has the parameters of a coarser border, or is None.
+    cores) sample the border. `sampling` has the parameters of a coarser border; None means the
+    complete border.
     """
     tell("loading the robot")
     try:
@@ -133,8 +134,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
     with closing(engine):
         for q_m in sample_joints(model, 20, rng):
             qd = np.concatenate([rng.uniform(-1, 1, n_b), rng.uniform(-0.5, 0.5, model.n_m)])
-            base_velocity = model.J_m @ qd[:n_b]
-            state.update(Measurement(np.zeros(3), base_velocity, q_m, qd[n_b:]))
+            state.update(Measurement(np.zeros(3), model.J_m @ qd[:n_b], q_m, qd[n_b:]))
             ours = (state.M, state.h)
             for key, theirs, own in zip(worst, engine.mass_and_bias(q_m, qd), ours, strict=True):
                 worst[key] = max(worst[key], float(np.abs(theirs - own).max() / np.abs(own).max()))
@@ -155,16 +155,17 @@ def engines_row(model: RobotModel) -> Row:
 
     found = compare_engines(model)
     good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH
-    text = (
-        f"pictures differ in {found.picture:.1%} of their rays; in {found.postures} postures the "
-        f"deepest contact of one engine alone is {1e3 * found.depth:.1f} mm"
-    )
+    deepest = f"the deepest contact of one engine alone is {1e3 * found.depth:.1f} mm"
+    text = f"pictures differ in {found.picture:.1%} of their rays"
+    text += f"; in {found.postures} postures {deepest}"
     numbers = {"picture_difference": found.picture, "contact_difference_m": found.depth}
     return Row("engines", "passed" if good else "failed", text, numbers)
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check limits of speed and torque, and inertias; warn if gravity exceeds a torque limit."""
+    """Check that speed and torque limits are plausible and each joint moves an inertia; warn if a
+    torque limit is too small for gravity in a random posture.
+    """
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
@@ -179,7 +180,8 @@ def limits_row(model: RobotModel) -> Row:
         f"{names[k]} has {efforts[k]:g} of the required {load[k]:.3g} N m (or N)"
         for k in np.flatnonzero(efforts < load)
     )
-    numbers = {"gravity_share": (share := float((load / efforts).max()))}
+    share = float((load / efforts).max())
+    numbers = {"gravity_share": share}
     if wrong:
         return Row("limits", "failed", "; ".join(wrong), numbers)
     if weak:
@@ -190,7 +192,9 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Warn of nested links that never touch, or that touch seldom and overlap by over 3 mm."""
+    """Warn of nested links that touch in no random posture, or that touch in fewer than 25 % of
+    them and overlap by more than 3 mm in one.
+    """
     by_body = units_of_links(model, _geometry(model))
     shapes = link_shapes([unit for units in by_body.values() for unit in units])
     named = sorted((min(pair), max(pair)) for pair in model.description.nested)
@@ -222,12 +226,14 @@ def base_row(model: RobotModel) -> Row:
         return Row("base's body", "failed", "the base's links have no shapes", {})
     out = float(MobileBody(model).distance(points).max())
     text = f"the base's meshes extend beyond its body by at most {max(out, 0.0):.4f} m"
-    good = out <= 0.01
-    return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
+    outcome: Outcome = "passed" if out <= 0.01 else "failed"
+    return Row("base's body", outcome, text, {"sticks_out_m": out})
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Check that bodies detect the collisions of links; warn of contacts that no pair monitors."""
+    """Check that pairs of bodies detect the collisions of links in random postures. The section
+    *Undetected collisions* of docs/other_robots.md has the condition of each outcome.
+    """
     found = detection_of(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.postures),
@@ -238,10 +244,8 @@ def arm_row(model: RobotModel) -> Row:
         "unseen_share": found.share,
         "left_out_poses": float(found.left_out),
     }
-    text = (
-        f"links collide in {found.postures} of {found.looked_at:,} random postures; in all but "
-        f"{found.undetected} of these, bodies of a pair meet"
-    )
+    text = f"links collide in {found.postures} of {found.looked_at:,} random postures"
+    text += f"; in all but {found.undetected} of these, bodies of a pair meet"
     if found.undetected:
         text += f"; most undetected collisions are of {found.worst}"
     if found.missed:
@@ -268,7 +272,7 @@ def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
 
 
 def holding_row(model: RobotModel) -> Row:
-    """Warn if the arm often cannot hold its end-effector in place while the base moves."""
+    """Warn if the arm often (over 25 %) cannot hold its end-effector while the base moves."""
     carried = warn.carried_ee(model)
     numbers = {
         f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
@@ -282,29 +286,31 @@ def holding_row(model: RobotModel) -> Row:
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warn if the joint torques often cannot resist a person who pushes the arm to the base."""
+    """Warn if a person can push the arm against the base in over 25 % of the postures near it."""
     borne = warn.borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
     person, numbers = (
         model.description.config.hand.f_max,
-        {"least_push_borne_n": borne.min().item()},
+        {"least_push_borne_n": float(borne.min())},
     )
     weak = float((borne < person).mean())
     text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
     if weak > warn.OFTEN:
-        text = (
-            f"a person with {person:g} N can push the arm against the base: in {weak:.0%} of the "
-            "postures near the base the joint torques resist only a smaller force; in the worst "
-            f"{warn.OFTEN:.0%} they resist {np.quantile(borne, warn.OFTEN):.0f} N or less"
-        )
+        worst = f"they resist {np.quantile(borne, warn.OFTEN):.0f} N or less"
+        share = f"{weak:.0%} of the postures near the base"
+        resist = f"in {share} the joint torques resist only a smaller force"
+        text = f"a person with {person:g} N can push the arm against the base: {resist}"
+        text += f"; in the worst {warn.OFTEN:.0%} {worst}"
     elif weak > 0.0:
         text += f"; in {weak:.0%} of the postures, a push of {person:g} N is too strong for them"
     return Row("push", "warned" if weak > warn.OFTEN else "passed", text, numbers)
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that bodies that meet l_m have a reachability; warn of pairs mostly in their buffer."""
+    """Check that each body in a pair with l_m has a reachability; warn if no pair has l_m, or if a
+    pair is inside its buffer in most postures without contact.
+    """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no monitored part of the arm can meet the base", {})
@@ -340,10 +346,11 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that borders have points at the heights, up to the top of l_m, that the arm reaches.
+    """Check that the border of each pair with l_m has points at the heights that the arm reaches,
+    from the floor to the top of l_m.
 
-    A gap between the lowest and the highest point of a border, or no border, causes a warning. The
-    check fails if all borders are empty. Below and above its points, the exact offset of l_m
+    The check fails if all borders are empty. It warns if no pair has l_m, or if a border has a gap
+    between its lowest and its highest point. Below and above these points, the exact offset of l_m
     replaces the border.
     """
     if not data.clouds:
@@ -377,9 +384,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
-    """Guide the end-effector towards the base, and compare with a run without avoidance.
-
-    The section *Guiding runs* of docs/other_robots.md has the condition of each outcome.
+    """Guide the end-effector towards the base, and compare with a run without avoidance. The
+    section *Guiding runs* of docs/other_robots.md has the condition of each outcome.
     """
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
@@ -406,10 +412,8 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     text = f"{touched} steps with contact{where}, {failures} steps without a solution of the QP"
     if near is not None:
         numbers |= {"min_clearance_m": float(near), "min_clearance_without_m": float(without)}
-        text = (
-            f"smallest distance to the base {near:.3f} m ({without:.3f} m without avoidance), base "
-            f"moved by {moved:.3f} m, {text}"
-        )
+        nearest = f"{near:.3f} m ({without:.3f} m without avoidance)"
+        text = f"smallest distance to the base {nearest}, base moved by {moved:.3f} m, {text}"
     if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
     if without is None or without >= config.border.d_b / 2:
@@ -417,11 +421,9 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     outcome: Outcome = "warned" if warning else "passed"
     if moved < (least := GIVES_WAY * config.border.d_b):
         held = bool(warn.holding_warning(warn.carried_ee(model)))
+        outcome = "warned" if held else "failed"
         text += f"; the base moves away by less than {least:.3f} m"
         if held:
-            text += (
-                ", because the arm cannot hold its end-effector in place and avoids the base by "
-            )
-            text += "itself; with a smaller ee_hold.weight the base moves more"
-        outcome = "warned" if held else "failed"
+            text += ", because the arm cannot hold its end-effector in place and avoids the base "
+            text += "by itself; with a smaller ee_hold.weight the base moves more"
     return Row(name, outcome, f"{text}; {warning}" if warning else text, numbers)

@@ -37,10 +37,8 @@ from app.system import whole_folder, write_whole
 MEETING_SAMPLES = 6000  # [-] smallest number of random postures for the distances between hulls
 _MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random postures
 _URDF = "robot.urdf"  # name of the new URDF in the robot's folder
-_DAMPING = (
-    "chosen: as for the paper's robot, but smaller for a light joint, so that steps of 1 ms are "
-    "stable"
-)
+_LIGHT = "smaller for a light joint, so that steps of 1 ms are stable"
+_DAMPING = f"chosen: as for the paper's robot, but {_LIGHT}"
 
 
 class _Work(NamedTuple):
@@ -131,16 +129,14 @@ def _make_robot(
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
         ready, rule = judge_ready(model, data.pairs, np.array(request.ready, float)), "from --ready"
-    base = numbers.base_numbers(
-        model, parsed.wheels, parsed.inertias, ready.q_m, request.half_track
-    )
+    q_m, b = ready.q_m, request.half_track
+    base = numbers.base_numbers(model, parsed.wheels, parsed.inertias, q_m, b)
     arm = {
-        "ready_position": (tuple(ready.q_m.tolist()), rule),
+        "ready_position": (tuple(q_m.tolist()), rule),
         "joint_damping": (numbers.damping(parsed.limits, parsed.arm, model), _DAMPING),
     }
-    content = write.description(
-        request, parsed, fitted.bodies, (base, arm), fitted.verdict.unwatched
-    )
+    unwatched = fitted.verdict.unwatched
+    content = write.description(request, parsed, fitted.bodies, (base, arm), unwatched)
     work.tell("counting the reachability")
     near = {pair.b for pair in data.pairs.mobile}
     reach = {body: each for body, each in counted if body in near}
@@ -188,9 +184,8 @@ def _embodied(
     smallest `Detection.undetected`. It has the joint limits of `with_stops` and, if `request.d_b`
     is None, the buffer distance of `watching_buffer`.
 
-    Raises:
-        RobotFileError: Each fit has a pair in `Detection.blind`; or as for `with_stops` or
-            `find_grouping`.
+    A RobotFileError is raised if each fit has a pair in `Detection.blind`, or as for `with_stops`
+    or `find_grouping`.
     """
     work.tell("sampling random postures")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
@@ -228,11 +223,9 @@ def _embodied(
     best = min(found, key=lambda each: (len(each.detection.blind), each.detection.undetected))
     if best.detection.blind:
         tried = sorted({len(each.bodies) - 1 for each in found})
-        raise RobotFileError(
-            f"the bodies of {', '.join(best.detection.blind)} do not enclose their links; "
-            f"choose a number of --bodies other than {' and '.join(map(str, tried))}, or a "
-            "different --seed"
-        )
+        why = f"the bodies of {', '.join(best.detection.blind)} do not enclose their links"
+        helps = f"choose a number of --bodies other than {' and '.join(map(str, tried))}"
+        raise RobotFileError(f"{why}; {helps}, or a different --seed")
     return best
 
 
@@ -240,7 +233,7 @@ def _count(request: Request, units: Sequence[Unit], found: Sequence[int]) -> int
     """The number of bodies of the arm for the next fit; None lets `find_grouping` choose it.
 
     Without --bodies, the third fit has one body more than the larger of the first two, if the arm
-    has enough moving units with shapes. `found` has the numbers of earlier fits, with l_m.
+    has enough moving units with shapes. `found` has the number of bodies, with l_m, of each fit.
     """
     if request.bodies or len(found) < _MAX_FITS - 1:
         return request.bodies
@@ -256,23 +249,22 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
         AssetError, UnknownNameError: As for `whole_robot`.
     """
     tree, arm, changes = whole or whole_robot(request)
-    limits, ready = numbers.read_limits(arm), request.ready
-    if ready is not None and len(ready) != len(arm.joints):
-        raise RobotFileError(
-            f"--ready: it has {len(ready)} numbers, but the arm has {len(arm.joints)} joints: "
-            f"{', '.join(arm.names)}"
-        )
-    for name, q, low, high in zip(arm.names, ready or (), limits.lower, limits.upper, strict=False):
-        if not low <= q <= high:
-            raise RobotFileError(
-                f"--ready: {name} at {q:g} is outside of its limits, {low:g} to {high:g}"
-            )
+    limits = numbers.read_limits(arm)
+    if request.ready is not None:
+        count, joints = len(request.ready), len(arm.joints)
+        if count != joints:
+            why = f"it has {count} numbers, but the arm has {joints} joints"
+            raise RobotFileError(f"--ready: {why}: {', '.join(arm.names)}")
+        ranges = zip(arm.names, request.ready, limits.lower, limits.upper, strict=True)
+        for name, q, low, high in ranges:
+            if not low <= q <= high:
+                why = f"{name} at {q:g} is outside of its limits, {low:g} to {high:g}"
+                raise RobotFileError(f"--ready: {why}")
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
-        raise RobotFileError(
-            f"no link between {arm.base!r} and {arm.tip!r} has a shape; add a <collision> or "
-            "<visual> to the arm's links, or choose another --tip"
-        )
+        why = f"no link between {arm.base!r} and {arm.tip!r} has a shape"
+        helps = "add a <collision> or <visual> to the arm's links, or choose another --tip"
+        raise RobotFileError(f"{why}; {helps}")
     if request.mount is None and stands_on_floor(tree, arm, geometry):
         arm = find_arm(tree, arm.base, arm.tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)

@@ -38,7 +38,7 @@ _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prism
 def with_source(
     before: Mapping[str, Any], numbers: Sourced, after: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """A table of a description: `before`, the values of `numbers`, `after`, then their sources."""
+    """A table of a description: `before`, `numbers`, `after`, then the sources of `numbers`."""
     values = {name: value for name, (value, _) in numbers.items()}
     sources = {name: why for name, (_, why) in numbers.items()}
     return {**before, **values, **after, "source": sources}
@@ -71,31 +71,31 @@ def read_limits(arm: Arm) -> Limits:
     """The limits in the URDF, with assumed ones for missing limits of position and speed.
 
     A limit so large that it limits nothing counts as missing. A missing effort is 0 in the result.
-
-    Raises:
-        RobotFileError: Position limits of a prismatic joint are missing, or those of any joint are
-            an empty range or probably in another unit.
+    A RobotFileError is raised if position limits of a prismatic joint are missing, or those of any
+    joint are an empty range or probably in another unit.
     """
     _check_ranges(arm.joints)
-    limits = {
-        "position_lower": [_position(joint, "lower") for joint in arm.joints],
-        "position_upper": [_position(joint, "upper") for joint in arm.joints],
-        "max_velocity": [
-            (v, "") if (v := _within(j.velocity, _FASTEST)) else (_SPEED[j.kind], _SPEEDS)
-            for j in arm.joints
-        ],
-        "max_effort": [(_within(joint.effort, 1e5), "") for joint in arm.joints],
-    }
-    columns = {field: [*zip(*rows, strict=True)] for field, rows in limits.items()}
+    lower = {joint.name: _position(joint, "lower") for joint in arm.joints}
+    upper = {joint.name: _position(joint, "upper") for joint in arm.joints}
+    speeds = {joint.name: _within(joint.velocity, _FASTEST) for joint in arm.joints}
     assumed = {
-        field: grouped(dict(zip(arm.names, whys, strict=True)))
-        for field, (_, whys) in columns.items()
+        "position_lower": grouped({name: why for name, (_, why) in lower.items()}),
+        "position_upper": grouped({name: why for name, (_, why) in upper.items()}),
+        "max_velocity": grouped({name: "" if v else _SPEEDS for name, v in speeds.items()}),
+        "max_effort": {},
     }
-    return Limits._make((*(values for values, _ in columns.values()), assumed, {}))
+    return Limits(
+        lower=tuple(limit for limit, _ in lower.values()),
+        upper=tuple(limit for limit, _ in upper.values()),
+        velocity=tuple(speeds[joint.name] or _SPEED[joint.kind] for joint in arm.joints),
+        effort=tuple(_within(joint.effort, 1e5) for joint in arm.joints),
+        assumed=assumed,
+        stops={},
+    )
 
 
 def grouped(whys: Mapping[str, str]) -> dict[str, list[str]]:
-    """Names by their reason in `whys`; names with an empty reason are left out."""
+    """The lists of names with equal reasons in `whys`, by reason; without the empty reason."""
     found = defaultdict[str, list[str]](list)
     for name, why in whys.items():
         if why:
@@ -112,10 +112,9 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
         e or round(float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     )
-    why = (
-        f"{_GRAVITY_SHARE:g} times the largest gravity load in random postures, at least "
-        f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
-    )
+    least = f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
+    load = "the largest gravity load in random postures"
+    why = f"{_GRAVITY_SHARE:g} times {load}, at least {least}"
     return limits._replace(effort=effort, assumed=limits.assumed | {"max_effort": {why: missing}})
 
 
@@ -156,7 +155,7 @@ def _range(joint: Joint) -> list[float | None]:
 
 
 def _position(joint: Joint, side: str) -> tuple[float, str]:
-    """The limit of a joint on a `side`, `lower` or `upper`, and the words for an assumed limit."""
+    """A joint's limit on a `side` (`lower`, `upper`), and words for an assumed limit, or empty."""
     low, high = _range(joint)
     own, other = (low, high) if side == "lower" else (high, low)
     if own is not None:
@@ -197,9 +196,8 @@ def _within(value: float | None, most: float) -> float:
 
 
 def with_plausible_base(inertias: Inertias, base_links: Sequence[str]) -> Inertias:
-    """The inertias of all links; a large assumed total mass of the base's links is reduced.
-
-    Large bases are hollow: above `_COMPACT`, the mass grows with the power 2/3 of the volume.
+    """The inertias of all links; a large assumed total mass of the base's links is reduced. Large
+    bases are hollow: above `_COMPACT`, the mass grows with the power 2/3 of the volume.
     """
     if (total := assumed_mass(inertias, base_links)) <= _COMPACT:
         return inertias
@@ -236,9 +234,8 @@ def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
 def base_numbers(
     model: RobotModel, wheels: Wheels, inertias: Inertias, q_m: Array, half_track: float | None
 ) -> Sourced:
-    """Numbers of the base with their sources; q_m (n_m,) is the ready posture.
-
-    `half_track` [m] is that of --half-track; None means half of the distance between the wheels.
+    """Numbers of the base with their sources; q_m (n_m,) is the ready posture. `half_track` [m] is
+    that of --half-track; None means half of the distance between the wheels.
     """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
@@ -253,15 +250,14 @@ def base_numbers(
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
     if wheels.steering:
         factor, inertia = 1.0, f"measured: {about}, about the rear axle"
+    weight = "with the whole weight on driven wheels"
+    friction = f"assumed: friction coefficient {_FRICTION:g}, {weight}"
     found = _geometry(kind, wheels, half_track) | {
         "mass_kg": (round(mass, 2), weighed),
         "inertia_kgm2": (round(factor * yaw, 3), inertia),
         "max_linear_velocity_mps": (round(v, 3), limit),
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
-        "traction_limit_n": (
-            round(_FRICTION * 9.81 * mass, 1),
-            f"assumed: friction coefficient {_FRICTION:g}, with the whole weight on driven wheels",
-        ),
+        "traction_limit_n": (round(_FRICTION * 9.81 * mass, 1), friction),
         "drive_time_constant_s": (0.05, "assumed: half of a 10 Hz command period"),
     }
     if kind != "car-like":  # the steering limits its angular velocity
@@ -332,21 +328,16 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
         fit, share = best_fit(counted)
     except DescriptionError as error:
         return _assumed(model, body, str(error))
-    text = (
-        f"counted: by |det J| at {counted.samples:,} random joint positions; fitted above "
-        f"{share:g} of the peak, R² {fit.r_squared:.2f}"
-    )
-    return Reach(fit.A_per_m2, fit.B_m, fit.C, text, counted, fit)
+    how = f"counted: by |det J| at {counted.samples:,} random joint positions"
+    source = f"{how}; fitted above {share:g} of the peak, R² {fit.r_squared:.2f}"
+    return Reach(fit.A_per_m2, fit.B_m, fit.C, source, counted, fit)
 
 
 def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
     """The fit of (9) above the first of `SHARES` with a positive R², and this share [-].
 
     In a small workspace, the reachabilities above the first share can be almost equal. With R² ≤ 0,
-    a constant fits better than (9).
-
-    Raises:
-        DescriptionError: (9) does not fit with a positive R² above any share.
+    a constant fits better than (9). If no share has a positive R², this raises a DescriptionError.
     """
     why = f"{counted.body}: a constant fits the reachability map better than (9)"
     for share in SHARES:
@@ -361,7 +352,7 @@ def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """A parabola about the mean distance of the first shape to the mount, assumed because `why`."""
+    """A parabola about the mean distance of a body's first shape to the mount, because of `why`."""
     shape, mount = model.geometry.geometryObjects[model.shape_ids[body][0]], model.p_base()
     rho = []
     for q in sample_joints(model, 2000, np.random.default_rng(0)):

@@ -81,10 +81,8 @@ def _bare(bare: dict[str, Bare]) -> Iterator[str]:
     whys = {"design": "only links of neighbouring bodies", "mistake": "links of other bodies"}
     for why, reaching in whys.items():
         if links := ", ".join(link for link, each in bare.items() if each == why):
-            yield (
-                f"extending beyond their bodies by {why}, because {reaching} can reach these "
-                f"parts: {links}"
-            )
+            beyond = f"extending beyond their bodies by {why}"
+            yield f"{beyond}, because {reaching} can reach these parts: {links}"
 
 
 def _bodies(robot: NewRobot) -> Grid:
@@ -120,10 +118,8 @@ def _verdict(robot: NewRobot) -> list[str]:
     ]
     if ready.nearest:
         where = "outside of" if ready.beyond_buffer >= 0.0 else "inside"
-        points.append(
-            f"in the ready posture, the nearest pair {ready.nearest} is "
-            f"{abs(ready.beyond_buffer):.3f} m {where} its buffer"
-        )
+        place = f"{abs(ready.beyond_buffer):.3f} m {where} its buffer"
+        points.append(f"in the ready posture, the nearest pair {ready.nearest} is {place}")
     return points
 
 
@@ -217,7 +213,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """PNG of counted reachabilities (means over spherical shells) and fits (9); None if none."""
+    """PNG of counted reachabilities (means over spherical shells) with their fits (9), or None."""
     counted = [(name, r.counted, r.fit) for name, r in robot.reach.items() if r.counted and r.fit]
     if not counted:
         return None
@@ -255,8 +251,7 @@ def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """`Bare` of each link that extends beyond its body by more than 5 mm, by the link's name.
-
+    """`Bare` of each link that extends beyond its body by more than 5 mm, by the link's name;
     `placed` are the poses of the joint frames (`placements`) in the ready posture.
     """
     found: dict[str, Bare] = {}

@@ -107,10 +107,8 @@ class Request:
         """The robot's name: the name of the folder `out`; a `RobotFileError` if it is invalid."""
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
-            raise RobotFileError(
-                f"--out: the folder's name {name!r} becomes the robot's name: use a letter, then "
-                "letters, digits and _"
-            )
+            why = f"the folder's name {name!r} becomes the robot's name"
+            raise RobotFileError(f"--out: {why}: use a letter, then letters, digits and _")
         return name
 
 
@@ -153,9 +151,8 @@ def check_request(request: Request) -> None:
     """
     used = robot_folder(request.name)
     if isfile(used / "robot.toml") and used.resolve() != request.out.resolve():
-        raise ConfigError(
-            f"--out: the robot {request.name!r} exists in {used}; choose another name"
-        )
+        why = f"the robot {request.name!r} exists in {used}"
+        raise ConfigError(f"--out: {why}; choose another name")
     known = parameter("border.d_b")
     check_range("--buffer-distance", request.buffer, known.low, known.high, known.unit)
     check_range("--seed", request.seed, 0, MAX_SEEDS)
@@ -164,10 +161,9 @@ def check_request(request: Request) -> None:
         for coordinate in coordinates:
             check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
         if request.arm_urdf is None and field.startswith("mount") and any(coordinates):
-            raise ConfigError(
-                f"{option(field)}: places an arm with its own URDF; add --arm-urdf, or remove "
-                f"{option(field)}: in a single URDF a joint places the arm"
-            )
+            helps = f"add --arm-urdf, or remove {option(field)}"
+            why = "in a single URDF a joint places the arm"
+            raise ConfigError(f"{option(field)}: places an arm with its own URDF; {helps}: {why}")
     # Imported here: coal and pinocchio would delay the start of `dbb --help`.
     from app.robot.description import KINDS
 
@@ -179,26 +175,21 @@ def check_request(request: Request) -> None:
             continue
         check_range(option(field), value, *bounds[:3])
         if bounds.kind not in ("", kind):
-            raise ConfigError(
-                f"{option(field)}: a {kind} base does not have this; remove the option, or set "
-                f"--kind {bounds.kind}"
-            )
+            helps = f"remove the option, or set --kind {bounds.kind}"
+            raise ConfigError(f"{option(field)}: a {kind} base does not have this; {helps}")
     package_folders(request.package)
     named("--xacro", request.xacro, "VALUE")
     if kind == "holonomic" and request.wheels is not None:
-        raise ConfigError(
-            "--wheels: a holonomic base has no wheels in its description; remove the option"
-        )
+        why = "a holonomic base has no wheels in its description"
+        raise ConfigError(f"--wheels: {why}; remove the option")
     complete = request.half_track is not None and request.wheels is None
     if request.wheel_radius is not None and not complete:
         raise ConfigError("--wheel-radius: needs --half-track, and excludes --wheels")
 
 
 def package_folders(entries: Sequence[str]) -> dict[str, Path]:
-    """The absolute folders of packages by their names, from entries of the form `NAME=FOLDER`.
-
-    Raises:
-        ConfigError: An entry has another form, or its folder does not exist.
+    """The absolute folders of packages by their names, from entries of the form `NAME=FOLDER`. An
+    entry of another form, or with a folder that does not exist, raises a ConfigError.
     """
     entered = named("--package", entries, "FOLDER")
     folders = {name: home_expanded(folder) for name, folder in entered.items()}
@@ -208,9 +199,8 @@ def package_folders(entries: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
-    """Values by their names, from an option's entries `NAME=…` or, as in ROS, `NAME:=…`.
-
-    An entry of another form raises a `ConfigError` whose message calls the value `what`.
+    """Values by name, from an option's entries `NAME=…` or, as in ROS, `NAME:=…`. An entry of
+    another form raises a `ConfigError` whose message calls the value `what`.
     """
     found = {}
     for each in entries:

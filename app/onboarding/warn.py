@@ -33,7 +33,7 @@ OFTEN = 0.25  # [-] share of postures above which there is a warning
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
-    """All warnings except that of `push_row`, one sentence each; the most serious ones first."""
+    """All warnings except that of `push_row`, one sentence each, the most serious ones first."""
     return [
         *_scale(robot),
         *_places(robot),
@@ -73,21 +73,16 @@ def _postures(robot: NewRobot) -> Iterator[str]:
     d_b, ready, near = robot.request.buffer, robot.ready, robot.verdict.near
     if ready.beyond_buffer < 0:
         most = np.floor(100 * (d_b + ready.beyond_buffer)) / 100
-        smaller = (
-            f" or a --buffer-distance of at most {most:g}"
-            if most >= parameter("border.d_b").low
-            else ""
-        )
-        yield (
-            f"the pair {ready.nearest} is {-ready.beyond_buffer:.3f} m inside its buffer in the "
-            f"ready posture; set another posture by --ready{smaller}"
-        )
+        inside = f"{-ready.beyond_buffer:.3f} m inside its buffer in the ready posture"
+        helps = "set another posture by --ready"
+        if most >= parameter("border.d_b").low:
+            helps += f" or a --buffer-distance of at most {most:g}"
+        yield f"the pair {ready.nearest} is {inside}; {helps}"
     for name in robot.verdict.always:
-        yield (
-            f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of the free "
-            f"random postures (limit {ALWAYS:.0%}): its task is active in most postures; try a "
-            "smaller --buffer-distance, or another number of --bodies"
-        )
+        share = f"{near[name]:.0%} of the free random postures (limit {ALWAYS:.0%})"
+        helps = "try a smaller --buffer-distance, or another number of --bodies"
+        active = f"its task is active in most postures; {helps}"
+        yield f"the pair {name} is inside its buffer of {d_b:g} m in {share}: {active}"
     whys = robot.lacking
     if always := ", ".join(robot.verdict.always):
         whys = dict.fromkeys(whys, f"inside the buffer in most postures: {always}")
@@ -98,37 +93,31 @@ def _postures(robot: NewRobot) -> Iterator[str]:
 def _bodies(robot: NewRobot) -> Iterator[str]:
     verdict, meetings, found = robot.verdict, robot.meetings, robot.detection
     if found.undetected:
-        yield (
-            f"no pair detects the collision in {found.share:.1%} of the colliding random postures; "
-            f"most are of {found.worst}; bodies that are neighbours or close by design are no "
-            f"pair: try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
-        )
+        postures = f"{found.share:.1%} of the colliding random postures"
+        why = "bodies that are neighbours or close by design are no pair"
+        helps = f"try a smaller --buffer-distance or another number of --bodies, or {_LIMIT}"
+        most = f"most are of {found.worst}"
+        yield f"no pair detects the collision in {postures}; {most}; {why}: {helps}"
     if found.left_out:
-        yield (
-            f"in {found.left_out} of {found.looked_at:,} random postures links meet "
-            "that no pair can monitor, because they are neighbours or close by design: "
-            f"{found.rule}; {_LIMIT}"
-        )
+        postures = f"{found.left_out} of {found.looked_at:,} random postures"
+        why = "they are neighbours or close by design"
+        meet = f"in {postures} links meet that no pair can monitor, because {why}"
+        yield f"{meet}: {found.rule}; {_LIMIT}"
     for name, why in verdict.unwatched.items():
         if why == BY_BODIES:
-            yield (
-                f"{name} is not monitored: its bodies are within d_b of each other in most "
-                "postures, although its links are not"
-            )
+            close = "its bodies are within d_b of each other in most postures"
+            yield f"{name} is not monitored: {close}, although its links are not"
     for pair in sorted(meetings.nested):
         a, b = (meetings.units[unit].name for unit in pair)
-        yield (
-            f"the hulls of {a} and {b} touch in most postures: they count as nested, and no pair "
-            "monitors them"
-        )
+        touching = f"the hulls of {a} and {b} touch in most postures"
+        yield f"{touching}: they count as nested, and no pair monitors them"
     for name in verdict.spurious:
         yield f"the bodies of the pair {name} can meet, but their links never do"
     for name in verdict.near:
         if (overlap := verdict.overlap[name]) > 0.1:
-            yield (
-                f"the bodies of the pair {name} overlap in {overlap:.0%} of the free random "
-                "postures: the controller avoids these, although no links collide there"
-            )
+            free = f"{overlap:.0%} of the free random postures"
+            avoided = "the controller avoids these, although no links collide there"
+            yield f"the bodies of the pair {name} overlap in {free}: {avoided}"
     for body in robot.bodies:
         links = sum(fit.volume / fit.over_cover for fit in body.fits)  # 0 for flat parts
         if (volume := sum(fit.volume for fit in body.fits)) > 2.0 * links:
@@ -139,10 +128,9 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
 def _reaches(robot: NewRobot) -> Iterator[str]:
     for name, reach in robot.reach.items():
         if reach.fit is not None and reach.fit.r_squared < 0.6:  # the paper's arm has 0.9
-            yield (
-                f"(9) fits the counted reachability of {name} badly, with an R² of "
-                f"{reach.fit.r_squared:.2f}: the scores of the border are only approximate"
-            )
+            badly = f"badly, with an R² of {reach.fit.r_squared:.2f}"
+            so = "the scores of the border are only approximate"
+            yield f"(9) fits the counted reachability of {name} {badly}: {so}"
     bare = [
         link
         for body in robot.bodies
@@ -162,11 +150,9 @@ def _scale(robot: NewRobot) -> Iterator[str]:
     joints = robot.model.pin.jointPlacements[3:]
     apart = sum(float(np.linalg.norm(T.translation)) for T in joints)
     if total > 5.0 * apart:  # a telescope has a ratio of 3
-        yield (
-            f"the arm's links have a total length of {total:.2g} m, but its joints are only "
-            f"{apart:.2g} m apart in total: if meshes are too large in the report, set their "
-            'scale="..." in the URDF'
-        )
+        long = f"the arm's links have a total length of {total:.2g} m"
+        helps = 'if meshes are too large in the report, set their scale="..." in the URDF'
+        yield f"{long}, but its joints are only {apart:.2g} m apart in total: {helps}"
 
 
 def _joints(robot: NewRobot) -> Iterator[str]:
@@ -174,10 +160,8 @@ def _joints(robot: NewRobot) -> Iterator[str]:
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
     for name, (low, high, lower, upper) in zip(robot.parsed.arm.names, ranges, strict=True):
         if (low, high) != (lower, upper):
-            yield (
-                f"{name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}, "
-                f"before {limits.stops[name]}"
-            )
+            narrower = f"{low:g} … {high:g} instead of {lower:g} … {upper:g}"
+            yield f"{name} is limited to {narrower}, before {limits.stops[name]}"
     fields: dict[str, str] = {}  # the first field: both position limits can be assumed alike
     for field, assumed in limits.assumed.items():
         for what, names in assumed.items():
@@ -213,22 +197,21 @@ def held_still(parsed: Parsed) -> Iterator[str]:
         if joint.moves and joint.name not in own and (link in carried or not turns_round(joint))
     ]
     if held:
-        yield (
-            "these joints are not between the base and --tip, so they are fixed at zero or at the "
-            f"limit nearest to zero: {', '.join(held)}"
-        )
+        why = "these joints are not between the base and --tip"
+        where = "at zero or at the limit nearest to zero"
+        yield f"{why}, so they are fixed {where}: {', '.join(held)}"
     if led := ", ".join(joint.name for joint in followers(tree, arm.names)):
-        yield (
-            f"these joints follow a joint of the arm (<mimic>), but are fixed here: {led}; the "
-            "bodies cover their whole travel"
-        )
+        fixed = f"these joints follow a joint of the arm (<mimic>), but are fixed here: {led}"
+        yield f"{fixed}; the bodies cover their whole travel"
     free = [joint for joint in tree.joints.values() if joint.kind in FREE]
     if names := ", ".join(j.name for j in free if j.child in tree.below(arm.base)[1:]):
         yield f"planar and floating joints are fixed: {names}"
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """For each body, a warning of the link beside the arm's chain that leaves the body farthest."""
+    """Warn of links beside the arm that can move more than 5 mm out of their body; only of the link
+    that moves farthest, for each body and each link of the arm's chain that carries such links.
+    """
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     for carrier in (arm.base, *(joint.child for joint in arm.joints[:-1])):
         filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
@@ -246,9 +229,8 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes.
-
-    The points (N, 3) [m] are in the frame of the body's joint.
+    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes. The
+    points (N, 3) [m] are in the frame of the body's joint.
     """
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
@@ -270,16 +252,14 @@ def wheels_carried(parsed: Parsed) -> list[str]:
 def _base(robot: NewRobot) -> Iterator[str]:
     wheels, tree = robot.parsed.wheels, robot.parsed.tree
     if carried := wheels_carried(robot.parsed):
-        yield (
-            f"--arm-urdf has its own wheels: {', '.join(carried)}; if it is a complete robot, its "
-            "base is now mounted on --base, with its mass and shapes"
-        )
+        so = "its base is now mounted on --base, with its mass and shapes"
+        wheeled = f"--arm-urdf has its own wheels: {', '.join(carried)}"
+        yield f"{wheeled}; if it is a complete robot, {so}"
     skids = robot.request.kind == "differential" and len(wheels.left) > 1
     if skids and robot.request.half_track is None:
-        yield (
-            f"{2 * len(wheels.left)} driven wheels skid when the base turns: its effective half "
-            f"track is larger than the measured {wheels.b:.3f} m; set it by --half-track"
-        )
+        skidding = f"{2 * len(wheels.left)} driven wheels skid when the base turns"
+        larger = f"its effective half track is larger than the measured {wheels.b:.3f} m"
+        yield f"{skidding}: {larger}; set it by --half-track"
     if robot.request.kind == "holonomic":
         yield "the base's speed, acceleration and traction are assumed"
     elif wheels.joint_velocity is None:
@@ -291,27 +271,23 @@ def _base(robot: NewRobot) -> Iterator[str]:
     axis = int(np.abs(ahead).argmax())
     if ahead[axis] < 0 or axis != 0:
         way = f"{'-' if ahead[axis] < 0 else ''}{'xyz'[axis]}"
-        yield (
-            f"the base drives along the {way} axis of {robot.parsed.arm.base}: --mount-xyz is in "
-            "the frame of that link"
-        )
+        along = f"the base drives along the {way} axis of {robot.parsed.arm.base}"
+        yield f"{along}: --mount-xyz is in the frame of that link"
     inertias, geometry = robot.parsed.inertias, robot.parsed.geometry
     seen = [link for link, each in geometry.items() if link in inertias and each.seen_only]
     for link in list(seen):
         spheres = all(shape.kind == "sphere" for shape in geometry[link].shapes)
         if spheres and inertias[link].assumed:
             seen.remove(link)
-            yield (
-                f"{link} is a sphere with only a <visual> and no mass: it counts as a part with "
-                f"{inertias[link].inertia.mass:.2g} kg; if it is a marker, remove its <visual>"
-            )
+            counts = f"it counts as a part with {inertias[link].inertia.mass:.2g} kg"
+            helps = "if it is a marker, remove its <visual>"
+            yield f"{link} is a sphere with only a <visual> and no mass: {counts}; {helps}"
     if seen:
         yield f"links without a collision shape, whose visual shape is used: {', '.join(seen)}"
     if mesh_paths := robot.urdf.count('filename="/'):
-        yield (
-            f"{mesh_paths} meshes are not in an installed package, so the URDF has their absolute "
-            "paths: this description works only on this machine"
-        )
+        why = f"{mesh_paths} meshes are not in an installed package"
+        so = "the URDF has their absolute paths: this description works only on this machine"
+        yield f"{why}, so {so}"
     if not np.isfinite(robot.ready.beyond_buffer):
         yield "no monitored pair of bodies can meet, so the arm avoids nothing"
 
@@ -381,7 +357,7 @@ def _larger_part(v: Array) -> float:
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
-    """A warning of base motions that the arm often (over 25 %) cannot compensate, or no text."""
+    """A warning of base motions that the arm often (over 25 %) cannot compensate, or empty."""
     often = [each for each in carried if each.place > OFTEN]
     if not often:
         return ""
@@ -390,10 +366,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
         "the orientation counts too)"
         for each in often
     )
-    return (
-        f"the arm cannot hold its end-effector in place while the base {motions}; during avoidance "
-        "the base moves less in these directions"
-    )
+    why = f"the arm cannot hold its end-effector in place while the base {motions}"
+    return f"{why}; during avoidance the base moves less in these directions"
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
@@ -414,9 +388,8 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def _near_postures(model: RobotModel) -> Array:
-    """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base.
-
-    If fewer than 25 of 2,000 random postures qualify, the distance does not matter. If all have
+    """(N, n_m) up to 100 random postures without contact, with the arm within 0.3 m of the base. If
+    fewer than 25 of 2,000 random postures qualify, the distance does not matter. If all have
     contact, the only posture is that of the lower limits.
     """
     pairs, q_m = candidate_pairs(model), sample_joints(model, _SAMPLES, np.random.default_rng(0))

@@ -56,10 +56,9 @@ class Whole(NamedTuple):
 def whole_robot(request: Request) -> Whole:
     """Read the robot from one or two files, with distinct names and one joint per telescope.
 
-    Raises:
-        RobotFileError: A file is not a URDF, --base or --tip is no link, or no arm is between them.
-        UnknownNameError: No xacro declares an argument of --xacro.
-        AssetError: A package is not installed.
+    A RobotFileError is raised if a file is not a URDF, --base or --tip is no link, or no arm is
+    between them; an UnknownNameError if no xacro declares an argument of --xacro; and an AssetError
+    if a package is not installed.
     """
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
@@ -171,10 +170,9 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
         if min(map(abs, cosines)) <= PARALLEL or sums[-1] == 0.0:
             continue
         joints |= {joint.name: joint for joint in _joined(tree, leader, parts, places, sums)}
-        said.append(
-            f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
-            f"one joint: the position of {leader.name} is now the sum of their positions"
-        )
+        merged = f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>)"
+        total = f"the position of {leader.name} is now the sum of their positions"
+        said.append(f"{merged} and become one joint: {total}")
     return replace(tree, joints=joints), said
 
 
@@ -185,10 +183,10 @@ def _joined(
     places: Sequence[pin.SE3],
     sums: Sequence[float],
 ) -> Iterator[Joint]:
-    """The changed joints of a telescope, and of joints outside that follow one of its `parts`.
+    """The changed joints: those of a telescope, and other joints that follow one of its `parts`.
 
     `places` are the poses of the parts relative to the parent of the first one. `sums` are the
-    travels of the parts along the first axis, for a unit travel of the leader.
+    total travels of the parts along the axis of the first one, for a unit travel of the leader.
     """
     low, high = leader.lower or 0.0, leader.upper or 0.0
     total, end, last = abs(sums[-1]), places[-1], parts[-1].child

@@ -67,15 +67,13 @@ def _sources_text(robot: NewRobot) -> str:
         lines.append(f"- Meshes of the zip, in the folder `{FOLDER}` beside this file")
         copied = "Meshes of installed packages are not copied."
     if MESH_FOLDER in folders:
-        lines.append(
-            f"- Meshes in the folder `{MESH_FOLDER}`: those in `.stl` had another unit, up axis or "
-            "format, or were larger than 4 MB, and are converted to metres; those in `.obj` are "
-            "collision meshes, cut into nearly convex pieces"
-        )
+        why = "had another unit, up axis or format, or were larger than 4 MB"
+        stl = f"those in `.stl` {why}, and are converted to metres"
+        obj = "those in `.obj` are collision meshes, cut into nearly convex pieces"
+        lines.append(f"- Meshes in the folder `{MESH_FOLDER}`: {stl}; {obj}")
         copied = "No other mesh is copied."
-    licence = request.licence or (
-        "`--licence` was not set: find the licences in the packages before you publish this folder."
-    )
+    unknown = "find the licences in the packages before you publish this folder."
+    licence = request.licence or f"`--licence` was not set: {unknown}"
     warnings = "\n".join(f"- {warning}" for warning in robot.warnings) or "- none"
     return (
         f"# Sources of {robot.content['title']}\n\n" + "\n".join(lines) + f"\n\n{copied}\n\n"
@@ -172,8 +170,8 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 
 
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
-    """Add the source of each number as a comment. A source of less than 80 characters that has a
-    semicolon is complete; others end before their first colon.
+    """Add the source of each number as a comment: the whole source if it has a semicolon and less
+    than 80 characters, otherwise its part before the first colon.
     """
     for key, value in content.items():
         if isinstance(value, Mapping):
@@ -257,8 +255,7 @@ def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geom
         for k, (element, pieces) in enumerate(zip(link.findall("collision"), found, strict=True)):
             if len(pieces) > 1:
                 path = _mesh_file(home, name, f"{name} {k}", ".obj")
-                scene = trimesh.Scene([each.mesh for each in pieces])
-                scene.export(path, include_normals=False)
+                trimesh.Scene([each.mesh for each in pieces]).export(path, include_normals=False)
                 element[:] = [Element("geometry")]
                 SubElement(element[0], "mesh", filename=path.relative_to(home).as_posix())
     named = {home / str(mesh.get("filename")) for mesh in tree.iter("mesh")}

@@ -36,11 +36,11 @@ ARM_DENSITY = 1200.0  # [kg/m³] of the hulls of an arm's links; a Panda's have 
 BASE_DENSITY = 450.0  # [kg/m³] of the hulls of a base's links; a Husky has 400, an LD-60 480
 _GUESS = 1.0  # [kg m²] largest moment of inertia that is a rough guess, for any mass
 _GYRATION = 5.0, 10.0  # [m], [-] largest radius of gyration; the second is relative to the shapes
-_OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass from the shapes, likewise
+_OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass; second relative to shapes
 _ROUNDING = 1e-5  # [-] smallest excess of the sum of two moments over the third, relative to it
 _TINY = 1e-9  # [kg] or [kg m²] largest value that counts as zero
 _FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
-_BEGIN = 1 << 16  # [bytes] beginning of a file, searched for damage
+_BEGIN = 1 << 16  # [bytes] length of the beginning of a file that is searched for damage
 _MARK = codecs.BOM_UTF8  # which many readers take for a part of the first word
 _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 
@@ -67,7 +67,7 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] some corners of each hull, and random points on it, in the link's frame."""
+        """(N, 3) [m] corners, and random points, up to 1,500 of each hull, in the link's frame."""
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
             count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
@@ -94,9 +94,11 @@ def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")
     """The geometry of one link, from its elements with the first tag in `tags` that occurs. An
     invalid shape, also one that is probably not in metres, raises a RobotFileError.
     """
-    tag = next((tag for tag in tags if link.find(tag) is not None), "")
-    shapes = (_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag))
-    return LinkGeometry(tuple(shapes), tag == "visual")
+    for tag in tags:
+        if elements := link.findall(tag):
+            shapes = [_shape(each, f"link {link.get('name')!r}") for each in elements]
+            return LinkGeometry(tuple(shapes), tag == "visual")
+    return LinkGeometry((), False)
 
 
 def _shape(element: Element, where: str) -> LinkShape:
@@ -123,7 +125,7 @@ def _hull(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """The shape alone or, of a mesh, nearly convex pieces, whose hulls meet only where links do."""
+    """The shape alone or, for a mesh, nearly convex pieces: hulls then meet only where links do."""
     if shape.kind != "mesh":
         return [shape]
     whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
@@ -133,7 +135,7 @@ def in_pieces(shape: LinkShape) -> list[LinkShape]:
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
-    """A shape after each of `motions` (in the link's frame) as one shape, with one hull."""
+    """The union of a shape after each of `motions` (in the link's frame), with one hull."""
     corners = np.asarray(shape.hull.vertices)
     hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in motions]))
     meshes = [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
@@ -147,23 +149,26 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     name, begin = f"mesh {path}", b""
     end, size = path.suffix[1:].lower() or "stl", path.stat().st_size
     try:
-        with path.open("rb") as file:  # a file, not a path, so that no texture is read
-            begin = file.read(_BEGIN)
+        with path.open("rb") as raw:  # a file, not a path, so that no texture is read
+            begin = raw.read(_BEGIN)
             if end != "3mf":  # which is an archive
                 refuse_placeholder(begin, name)
             if end == "dae":
                 _states_unit(path)
-            file.seek(len(_MARK) if begin.startswith(_MARK) else 0)
-            scene = trimesh.load(file, end, force="scene", skip_materials=True, process=False)
+            raw.seek(len(_MARK) if begin.startswith(_MARK) else 0)
+            scene = trimesh.load(
+                raw, file_type=end, force="scene", skip_materials=True, process=False
+            )
         assert isinstance(scene, trimesh.Scene)
         scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
-        for key, mesh in scene.geometry.items():
+        for part, mesh in scene.geometry.items():
             if not np.isfinite(mesh.vertices).all():  # libraries read these in different ways
                 raise ValueError("a coordinate is not a finite number; export it again")
             if isinstance(mesh, trimesh.Trimesh):
                 merged = mesh.process() if size < _HEAVY else mesh
-                scene.geometry[key] = _lightened(merged, _CELL / scale)
-        if not len((joined := scene.to_mesh()).faces):
+                scene.geometry[part] = _lightened(merged, _CELL / scale)
+        joined = scene.to_mesh()
+        if not len(joined.faces):
             raise ValueError("it has no triangles")
         return joined.apply_scale(scale)
     except (RobotFileError, MemoryError):
@@ -188,16 +193,14 @@ def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
         return "; its numbers have decimal commas: export it with points"
     facets, stated = stated_stl(begin)
     if end == "stl" and b"\0" in begin and size != stated:
-        return (
-            f"; it states {facets:,} triangles, which are {stated:,} bytes, but it has {size:,} "
-            "bytes: copy or export it again"
-        )
+        expected = f"it states {facets:,} triangles, which are {stated:,} bytes"
+        return f"; {expected}, but it has {size:,} bytes: copy or export it again"
     return ""
 
 
 def _states_unit(path: Path) -> bool:
-    """Whether a COLLADA file is damaged, is not in metres, or has x or y upwards; this raises a
-    RobotFileError if the file states a unit that is not a number above zero.
+    """Whether a COLLADA file is damaged, is not in metres, or has x or y upwards. A RobotFileError
+    is raised if the file states a unit that is not a number above zero.
     """
     try:
         with path.open("rb") as file:  # the file's own <asset> is the first one
@@ -212,7 +215,7 @@ def _states_unit(path: Path) -> bool:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether other libraries read a mesh file slowly or not at all, or ignore its unit or axis."""
+    """Whether a mesh has to become an STL file: other libraries misread it, or are very slow."""
     end, large = path.suffix.lower(), path.stat().st_size > _HEAVY
     with path.open("rb") as file:
         marked = file.read(len(_MARK)) == _MARK
@@ -220,8 +223,8 @@ def is_foreign(path: Path) -> bool:
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """The mesh or, if it has more than `MOST_FACES` triangles, a lighter one with nearly the same
-    hull: all vertices in a cube with the edge `cell` (in the unit of the mesh) are merged.
+    """The mesh or, if it has more than `MOST_FACES` triangles, one of about that many with nearly
+    the same hull. Vertices in one cubic cell with the edge `cell`, in the mesh's unit, are merged.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh
@@ -271,12 +274,12 @@ def read_inertias(
     for part in (arm.base_links, moving):
         links = [link for link in part if link in solid]
         mass = sum(solid[link].mass for link in links)
-        if mass < _LIGHTEST * (volume := sum(geometry[link].volume for link in links)):
-            raise RobotFileError(
-                f"links {', '.join(links)}: {mass:.3g} kg in {1e3 * volume:.3g} l in total looks "
-                "like tonnes; masses of a URDF are in kilograms; without an <inertial> of a link, "
-                "its mass is assumed from its volume"
-            )
+        volume = sum(geometry[link].volume for link in links)
+        if mass < _LIGHTEST * volume:
+            why = f"{mass:.3g} kg in {1e3 * volume:.3g} l in total looks like tonnes"
+            helps = "without an <inertial> of a link, its mass is assumed from its volume"
+            why += f"; masses of a URDF are in kilograms; {helps}"
+            raise RobotFileError(f"links {', '.join(links)}: {why}")
     if not assume and massive.keys().isdisjoint(moving):
         why = "no link of the arm has a mass: torques cannot be computed"
         helps = f"--assume-inertia to assume {ARM_DENSITY:g} kg/m³ in the hulls of its links"
@@ -336,21 +339,22 @@ def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
 
 
 def _stated(link: Element) -> pin.Inertia | None:
-    """The inertia that a URDF states for a link, in the frame of the link, or None."""
+    """The inertia that the URDF states, in the link's frame, or None; refuses a negative one."""
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None
     mass = float(numbers(element.find("mass"), "value", (0.0,), where)[0])
-    keys, stated = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz"), element.find("inertia")
-    values = [numbers(stated, key, (0.0,), where)[0] for key in keys]
-    moments, axes = np.linalg.eigh(I := pin.Symmetric3(np.array(values)).matrix())
+    keys = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in the order of pinocchio
+    values = [numbers(element.find("inertia"), key, (0.0,), where)[0] for key in keys]
+    I = pin.Symmetric3(np.array(values)).matrix()
+    moments, axes = np.linalg.eigh(I)
     if mass < 0 or moments.min() < -1e-6 * max(1.0, np.abs(I).max()):
         listed = ", ".join(f"{value:.3g}" for value in moments)
         why = f"{where}: a mass of {mass:g} kg with moments of inertia of {listed} kg m²"
         raise RobotFileError(f"{why} is impossible: no value may be negative")
     moments = np.maximum(moments, 0.0)
-    if (short := moments[2] * (1 + _ROUNDING) - moments[0] - moments[1]) > 0:
-        # pybullet replaces moments that violate the triangle inequality by zero.
+    short = moments[2] * (1 + _ROUNDING) - moments[0] - moments[1]
+    if short > 0:  # pybullet replaces moments that violate the triangle inequality by zero
         moments[:2] += short / 2
         I = axes @ np.diag(moments) @ axes.T
     return origin(element, where).act(pin.Inertia(mass, np.zeros(3), I))

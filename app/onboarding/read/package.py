@@ -43,11 +43,11 @@ _UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSE
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write URDFs, meshes and licences of a zip to a folder; return the paths of the visible URDFs.
+    """Write URDFs, meshes and licences of a zip to a folder; return the sorted paths of its URDFs.
 
-    A RobotFileError is raised if the zip cannot be read, is too large or has no URDF, or if an
-    entry is a link, has a password or another compression than deflate, or its path is invalid or
-    occurs twice.
+    Hidden files and those in `__MACOSX` are not among these paths. A RobotFileError is raised if
+    the zip cannot be read, is too large or has no URDF; or if an entry is a link, has a password or
+    a compression other than deflate, or has a path that is invalid or occurs twice.
     """
     _check_size(archive)
     try:
@@ -93,7 +93,7 @@ def _check_size(archive: Path) -> None:
 
 
 def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    """The files of a zip by their paths, without folders; an error if too many or duplicate."""
+    """The files of a zip by path, without folders; refuses too many, too large or equal ones."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         why = f"it expands to {total / 1e6:,.0f} MB"
@@ -184,14 +184,14 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _stored(name: str) -> Iterator[str]:
-    """A non-ASCII name `_as_stored` in each of Python's encodings: a zip can lack its encoding."""
+    """The names `_as_stored` of a non-ASCII name, by each encoding that the zip may have used."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield _as_stored(name.encode(code))
 
 
 def _as_stored(name: bytes) -> str:
-    """A name without a stated encoding, by code page 437; 0x5C and 0xFF become %5C and %FF."""
+    """A name's bytes, read by code page 437 as `zipfile` does; 0x5C becomes %5C, and 0xFF %FF."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 

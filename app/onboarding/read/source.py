@@ -6,6 +6,7 @@ import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from urllib.parse import unquote
@@ -37,8 +38,8 @@ _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can 
 
 
 def locate(source: str) -> Path:
-    """The file of a path, a `file://` or a `package://` address; raises a RobotFileError if no file
-    is there, and the errors of `resolve_package_uri`.
+    """The file at a path, or at a `file://` or `package://` address. A RobotFileError is raised if
+    there is no file, and the AssetError of `resolve_package_uri` if its package is wrong.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
@@ -100,7 +101,8 @@ def read_source(
             raise RobotFileError(f"{path.name}: {why}; expand it: xacro FILE -o robot.urdf")
         text, known = _expanded(path, text, packages or {}, arguments)
         refuse_entities(text, path)
-        if left := _unexpanded(text, robot := _plain_xml(text)):
+        robot = _plain_xml(text)
+        if left := _unexpanded(text, robot):
             raise RobotFileError(f"{path}: xacro does not expand {left}; correct it in the file")
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
@@ -140,8 +142,8 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF: `package://…` in an installed package, else its path.
 
-    `reference` is its address in a URDF in `folder`. A RobotFileError is raised if the file does
-    not exist in any of the `spellings`, has an unreadable format, or is a placeholder.
+    `reference` is the mesh's address in a URDF in `folder`. A RobotFileError is raised if no file
+    exists in any of the `spellings`, if it has an unreadable format, or if it is a placeholder.
     """
     search = partial(_package_folders, folder=folder, named=packages or {})
     names = spellings(reference)
@@ -225,11 +227,9 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     """Where a missing package was searched, and the option that helps; `inner` is a file in it."""
     holders = [each for each in (folder, *folder.parents) if isfile(each / inner)]
     found = f"{holders[0]}, which contains a file of that path" if holders else "FOLDER"
-    return (
-        f"the package {package!r} is not a folder beside or above {folder}, is not in "
-        "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
-        f"set --package {package}={found}"
-    )
+    why = f"the package {package!r} is not a folder beside or above {folder}"
+    why += ", is not in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed"
+    return f"{why}; set --package {package}={found}"
 
 
 def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[Path]:
@@ -241,12 +241,12 @@ def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[
         return
     for parent in (folder, *folder.parents):
         beside = (each.parent for each in parent.glob("*/package.xml"))
-        for each in filter(isdir, (parent, parent / package, *beside)):
+        for each in filter(isdir, chain((parent, parent / package), beside)):
             if package in (each.name, _stated_name(each)):
                 yield each
-    ways = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))  # of ROS 1, of ROS 2
-    listed = ((os.environ.get(name, "").split(os.pathsep), inner) for name, inner in ways)
-    tops = (Path(each) / inner for entries, inner in listed for each in entries if each)
+    ros1 = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    ros2 = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    tops = [*map(Path, filter(None, ros1)), *(Path(each) / "share" for each in filter(None, ros2))]
     for top in filter(isdir, tops):
         found = (top / package, *top.glob(f"*/{package}"), top)
         yield from (each for each in found if each.name == package and isdir(each))

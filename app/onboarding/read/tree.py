@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import takewhile
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -88,7 +88,7 @@ class Tree:
         return found
 
     def chain(self, base: str, tip: str) -> list[Joint]:
-        """The joints on the path from `base` to its descendant `tip`; else a RobotFileError."""
+        """The joints from `base` to `tip`; a RobotFileError if `tip` is no descendant of `base`."""
         chain, link = [], tip
         while link != base:
             if link not in self.joint_of:
@@ -102,8 +102,8 @@ class Tree:
     def below(
         self, link: str, *, without: Collection[str] = (), moving: bool = True
     ) -> tuple[str, ...]:
-        """A link and its descendants outwards, except beyond joints with names in `without` and, if
-        `moving` is False, beyond joints of the kinds `MOVING`.
+        """A link and its descendants outwards, except those beyond the joints named in `without`
+        and, if `moving` is False, those beyond joints of the kinds `MOVING`.
         """
         found = [link]
         for name in found:
@@ -124,7 +124,7 @@ def _some(names: Iterable[str]) -> str:
 
 
 def make_tree(robot: Element) -> Tree:
-    """Read the links and joints of a URDF; the visuals in `robot` get materials named by colour.
+    """Read links and joints of a URDF; each visual in `robot` gets one material, named by colour.
 
     A RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
     missing link, the links are not a tree, or a number is invalid.
@@ -173,12 +173,14 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     if kind not in kinds:
         near, known = did_you_mean(kind, kinds), ", ".join(kinds)
         raise RobotFileError(f"{where}: its type is {kind!r}{near}; {known} are possible")
-    ends = {}
+    ends = []
     for role in ("parent", "child"):
-        ends[role] = link = next((str(e.get("link")) for e in element.iterfind(role)), "")
+        end = element.find(role)
+        link = "" if end is None else str(end.get("link"))
         if link not in links:
             near = did_you_mean(link, links)
             raise RobotFileError(f"{where}: its {role} is {link!r}, which is not a link{near}")
+        ends.append(link)
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = float(np.linalg.norm(axis))
     if kind in MOVING and length < 1e-6:
@@ -189,12 +191,13 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         factor, offset = (float(numbers(leader, key, (x,), where)[0]) for key, x in usual)
         mimic = str(leader.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
-    limits: Any = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
+    limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
     lacking = [key for key in keys if limits[key] is None]
-    if len(lacking) == 1:
-        limits |= {lacking[0]: 0.0, "unstated": lacking[0]}
+    unstated = lacking[0] if len(lacking) == 1 else ""
+    if unstated:
+        limits[unstated] = 0.0
     T, axis = origin(element, where), axis / max(length, 1e-12)
-    return Joint(name, kind, **ends, T_parent_child=T, axis=axis, mimic=mimic, **limits)
+    return Joint(name, kind, ends[0], ends[1], T, axis, mimic=mimic, unstated=unstated, **limits)
 
 
 def _limit(element: Element, key: str, where: str) -> float | None:
@@ -216,7 +219,7 @@ class Arm(NamedTuple):
     tip: str  # the link that carries the end-effector
     mount: str  # the link whose origin is the arm's mount
     joints: tuple[Joint, ...]  # the n_m joints of the arm, from the base outwards
-    base_links: tuple[str, ...]  # `base` and its descendants outside of the arm, as wheels
+    base_links: tuple[str, ...]  # `base` and its descendants outside of the arm
     rigid_links: tuple[str, ...]  # those of `base_links` fixed to `base`, also by suspensions
     segments: tuple[tuple[str, ...], ...]
     """(n_m + 1) groups of links: the arm's links before its first joint, then the links that each
@@ -302,12 +305,13 @@ def extends(tree: Tree, slide: Joint, joint: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Refuse a base with ancestors, up to a joint of `FREE`, that have shapes or other children."""
+    """Refuse a base whose ancestors, up to a joint of `FREE`, have shapes or other children."""
     above = reversed(tree.chain(tree.root, base))
     for joint in takewhile(lambda each: each.kind not in FREE, above):
         parent = joint.parent
         beside = ", ".join(each.child for each in tree.children[parent] if each is not joint)
         solid = any(tree.links[parent].findall(tag) for tag in ("collision", "visual"))
-        if what := f"child links {beside}" if beside else "shapes" * solid:
+        if beside or solid:
+            what = f"child links {beside}" if beside else "shapes"
             why = f"--base: {parent!r}, an ancestor of {base!r}, has {what}"
             raise RobotFileError(f"{why}, which the robot would lose; set --base {parent}")

@@ -30,7 +30,7 @@ class Steering(NamedTuple):
     """The steered front wheels of a car-like base."""
 
     numbers: dict[str, tuple[float, str]]
-    """Wheelbase [m], largest angle [rad] and rate [rad/s] with their sources, by their names."""
+    """Wheelbase [m], largest angle [rad] and rate [rad/s] with their sources, by field."""
     rolling: tuple[str, ...]  # joints about which the steered wheels roll
     joints: tuple[str, ...]  # steering joints
 
@@ -92,7 +92,7 @@ class _Base(NamedTuple):
         return _Wheel(joint, centre, axis, r, how, float(centre[2] - r))
 
     def rigid_wheel(self, joint: Joint) -> _Wheel:
-        """The `wheel` on a joint that `turns_round` on a link that is rigidly fixed to the base."""
+        """The `wheel` on a joint that `turns_round` on one of `Arm.rigid_links`; else an error."""
         if not turns_round(joint):
             raise RobotFileError(f"{joint.name} is not a wheel: it is {joint.kind}")
         if joint.parent in self.arm.rigid_links:
@@ -157,7 +157,7 @@ def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wh
     If wheels, steering or shapes are missing, a RobotFileError names an option that helps.
     """
     base = _Base(tree, arm, geometry)
-    given = None not in (request.wheel_radius, request.half_track)
+    given = request.wheel_radius is not None and request.half_track is not None
     if request.kind == "holonomic" or given:
         if (low := base.lowest(arm.base_links)) is None:
             why = f"--base: no link of {arm.base!r} has a shape"
@@ -181,7 +181,7 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
 
 
 def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
-    """The `_drive` of the two wheels on the joints or links `named`, or of the lowest pair."""
+    """The `_drive` of the wheels on the two joints or links `named`, or of the lowest pair."""
     found = [j for j in base.tree.joints.values() if j.child in base.arm.base_links[1:]]
     turning, wheels, why = [*filter(turns_round, found)], list[_Wheel](), list[str]()
     for joint in turning:
@@ -209,17 +209,16 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
             why.append(f"{', '.join(each.joint.name for each in wheels)}: no two are on one axle")
         fixed = any(joint.parent in base.arm.rigid_links for joint in turning)
         helps = "set --wheels LEFT RIGHT, their joints; " if fixed else ""
-        raise RobotFileError(
-            f"--wheels: no pair of wheels found under {base.arm.base!r} "
-            f"({'; '.join(why) or 'no joint turns without limits'}); {helps}set --wheel-radius and "
-            "--half-track if the URDF has no such wheels; or --kind holonomic if the base drives "
-            "sideways too"
-        )
+        helps += "set --wheel-radius and --half-track if the URDF has no such wheels"
+        helps += "; or --kind holonomic if the base drives sideways too"
+        lacking = f"no pair of wheels found under {base.arm.base!r}"
+        reasons = "; ".join(why) or "no joint turns without limits"
+        raise RobotFileError(f"--wheels: {lacking} ({reasons}); {helps}")
     return _drive(left, right, wheels)
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The drive of two wheels, and of those of equal radius and height ahead of or behind them."""
+    """The drive of two wheels, and of all `wheels` of their radius and height ahead or behind."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])
@@ -237,7 +236,7 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
 
 
 def turns_round(joint: Joint) -> bool:
-    """Whether the range of a joint has no limits, or is more than two turns."""
+    """Whether a joint is continuous, or revolute with a range of more than two turns."""
     return joint.kind == "continuous" or (joint.kind == "revolute" and _range(joint) > 4 * np.pi)
 
 
@@ -247,8 +246,8 @@ def _range(joint: Joint) -> float:
 
 
 def _radius(joint: Joint, places: Mapping[str, pin.SE3], geometry: Geometry) -> tuple[float, str]:
-    """[m] radius of all shapes about a joint's axis, and its source; or a RobotFileError if the
-    shapes are not round. `places` has T_child_link of the links fixed to the joint's child link.
+    """[m] radius of all shapes about a joint's axis, and its source. A RobotFileError is raised if
+    shapes are missing or not round. `places` has T_child_link of links fixed to the joint's child.
     """
     shapes = [(s, T) for link, T in places.items() for s in geometry[link].shapes]
     if not shapes:

@@ -41,8 +41,8 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write a table as CSV if the name ends in .csv, otherwise as Parquet, completely or not at
-    all, and always with the same bytes. CSV has the header as a comment, Parquet as metadata.
+    """Write a table, completely or not at all: as CSV if the name ends in .csv, else as Parquet. A
+    header becomes a comment in CSV, and metadata in Parquet. Equal arguments give equal bytes.
     """
     sink = io.BytesIO()
     if path.suffix.lower() == ".csv":

@@ -93,9 +93,10 @@ def axis_name(axis: Axis) -> str:
 
 
 def column_names(template: str, meta: TraceMeta) -> list[str]:
-    """The names of a quantity's columns, by a template such as `p_ee_{xyz}_m` for x, y and z;
-    `u_{joint}_{effort}` for the joints, in N m or N; `base_{velocity}` for the base's axes, in m/s
-    or rad/s; `d_{pair}_m` for the link pairs.
+    """The names of a quantity's columns, which end in the unit, if any.
+
+    Templates are such as `p_ee_{xyz}_m` for x, y and z; `u_{joint}_{effort}` for the joints, in N m
+    or N; `base_{velocity}` for the base's axes, in m/s or rad/s; `d_{pair}_m` for the link pairs.
     """
     joints = zip(meta.joints, meta.joint_units, strict=True)
     plain: dict[str, Sequence[str]] = {
@@ -145,15 +146,15 @@ def number(
     """A quantity of one number or text, or of an array (k,) if the `template` names k columns.
 
     `template` is as in `column_names`. `source` is the value's attribute of `Step`, as in
-    `Quantity.paths`, or its computation at 50 Hz, as in `Quantity.take`. A value that is not
-    `often` is recorded only at snapshots, an `optional` one can be None. A ValueError is raised if
-    `often` has neither an attribute nor a computed number.
+    `Quantity.paths`, or its computation at 50 Hz, as in `Quantity.take`. If not `often`, the value
+    is recorded only at snapshots. If `optional`, the value can be None. A ValueError is raised if
+    `often` is true, and `source` is neither an attribute nor the computation of one number.
     """
     single = "{" not in template
     if often and not isinstance(source, str) and (source is None or not single):
-        why = f"{template}: `source` must be an attribute of `Step`, or compute one number"
-        helps = "the value is recorded at each control step; otherwise use `drawn`"
-        raise ValueError(f"{why}, because {helps}")
+        must = f"{template}: `source` must be an attribute of `Step`, or compute one number"
+        why = "the value is recorded at each control step; otherwise use `drawn`"
+        raise ValueError(f"{must}, because {why}")
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(name, kind, optional, often) for name in column_names(template, meta)]

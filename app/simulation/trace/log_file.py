@@ -59,7 +59,8 @@ class LogHeader(Strict):
 
 def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the name, completely or not at all. Another
-    ending raises a LogError, a failure of writing an OutputError. `read_trace` needs snapshots.
+    ending raises a LogError, a failure to write an OutputError. `read_trace` refuses the file of a
+    trace without snapshots.
     """
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)

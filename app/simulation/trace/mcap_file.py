@@ -13,8 +13,7 @@
 | `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | at the start and each change |
 
 The schemas `foxglove.…` and `dbb.…` are Protobuf. The others are ROS 2 messages, because Rerun
-reads robots and named curves only from ROS 2 messages. With `--ros`, a file has only the first
-three topics.
+reads robots and named curves only from ROS 2 messages. `--ros` writes only the first three topics.
 """
 
 import io
@@ -49,6 +48,7 @@ from app.system import write_whole
 
 WORLD = "world"  # name of the world's frame
 Records = Iterable[Mapping[str, Any]]  # fields of each record
+Materials = Mapping[str | None, Element]  # materials of the robot by name
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
 _BODY = fg.Color(r=0.25, g=0.6, b=0.9, a=0.4)
@@ -56,6 +56,7 @@ _GREY = fg.Color(r=0.6, g=0.6, b=0.6, a=1)
 _INSIDE = fg.Color(r=1, g=0.7, b=0.1, a=1)  # of the buffer
 _CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
 _MEDIA = {".glb": "gltf-binary", ".stl": "stl", ".obj": "obj", ".dae": "vnd.collada+xml"}
+_UNSCALED = np.ones(3)  # [-] scale of a mesh in metres
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 _STORE: Any = get_typestore(Stores.ROS2_JAZZY)
 _ROS = _STORE.types  # constructors of messages by their types
@@ -81,7 +82,7 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
 
 
 def _put(log: Context, topic: str, t: float, message: Any) -> None:
-    """Append a message of ROS or foxglove at t [s]; an equal topic has the same channel again."""
+    """Append a message of ROS or foxglove at t [s]; foxglove reuses the channel of a topic."""
     if kind := getattr(message, "__msgtype__", ""):
         schema, encoding = _ros_schema(kind), "cdr"
         content = bytes(_STORE.serialize_cdr(message, kind))
@@ -190,9 +191,7 @@ def _fields(names: Iterable[str]) -> list[str]:
     return list(found.values())
 
 
-def _visual(
-    visual: Element, materials: dict[str | None, Element], link: str
-) -> fg.ModelPrimitive | None:
+def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
     """A visual of a link; None without a shape, or if a mesh is too large or of unknown format."""
     where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
@@ -211,16 +210,17 @@ def _visual(
 
 
 def _model(
-    T: pin.SE3,
-    content: bytes,
-    colour: fg.Color | None,
-    end: str = ".glb",
-    scale: Iterable[float] = (1.0, 1.0, 1.0),
+    T: pin.SE3, content: bytes, colour: fg.Color | None, end: str = ".glb", scale: Array = _UNSCALED
 ) -> fg.ModelPrimitive:
-    """The mesh file `content` with the ending `end`; a `colour` replaces the file's own ones."""
-    about = {"scale": fg.Vector3(**_xyz(scale)), "media_type": f"model/{_MEDIA[end]}"}
-    shown = {"color": colour, "override_color": colour is not None}
-    return fg.ModelPrimitive(pose=_pose(T), data=content, **about, **shown)
+    """A mesh file with the ending `end` at the pose T; a `colour` replaces the file's own ones."""
+    return fg.ModelPrimitive(
+        pose=_pose(T),
+        scale=fg.Vector3(**_xyz(scale)),
+        color=colour,
+        override_color=colour is not None,
+        media_type=f"model/{_MEDIA[end]}",
+        data=content,
+    )
 
 
 def _markers(s: Snapshot) -> list[fg.SceneEntity]:
@@ -242,8 +242,8 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
     size = fg.Vector3(x=0.025, y=0.025, z=0.025)
     balls = [fg.SpherePrimitive(pose=pose, size=size, color=_INSIDE) for pose in poses]
     person = _arrow(s.p_ee, s.hand_force, _GREY)
-    stamp = _header(s.t, WORLD).stamp
-    about = {"timestamp": fg.Timestamp(stamp.sec, stamp.nanosec), "frame_id": WORLD}
+    time = fg.Timestamp(*divmod(round(1e9 * s.t), 10**9))  # seconds and nanoseconds
+    about = {"timestamp": time, "frame_id": WORLD}
     return [
         fg.SceneEntity(id="closest points", lines=lines, **about),
         fg.SceneEntity(id="avoidance", arrows=forces, spheres=balls, **about),
@@ -277,7 +277,8 @@ def _xyz(values: Iterable[float]) -> dict[str, float]:
 
 def _frame(t: float, parent: str, child: str, T: pin.SE3) -> Any:
     place = _ROS["geometry_msgs/msg/Vector3"](*T.translation)
-    motion = _ROS["geometry_msgs/msg/Transform"](place, pin.Quaternion(T.rotation))
+    turn = _ROS["geometry_msgs/msg/Quaternion"](*pin.Quaternion(T.rotation).coeffs())
+    motion = _ROS["geometry_msgs/msg/Transform"](place, turn)
     return _ROS["geometry_msgs/msg/TransformStamped"](_header(t, parent), child, motion)
 
 

@@ -1,7 +1,6 @@
 """Figures of merit of a run: the results of `dbb run`, sweeps, studies, claims and reports."""
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -35,15 +34,18 @@ class Figure(NamedTuple):
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """Compute all figures of a run, by keys that end in the unit, if any; those of `DOOR` only if a
-    door was opened. Without data a figure is None: a change per step needs a row for each step.
+    """Compute all figures of a run; the key of a figure with a unit ends in the unit.
+
+    A figure for which the trace has no data is None. Changes between control steps have data only
+    if each step has a row. The figures of `DOOR` are included only if the run opened a door.
     """
     figures: dict[str, Any] = dict.fromkeys(FIGURES)
     for key, figure in FIGURES.items():
         with suppress(LogError):
             figures[key] = figure.of(run)
     if not run.each_step:
-        figures |= dict.fromkeys(k for k in figures if re.search("_jump_max|_sign_changes$", k))
+        changes = ("_jump_max", "_jump_max_nm", "_sign_changes")
+        figures |= dict.fromkeys(key for key in figures if key.endswith(changes))
     estimated = ~np.isnan(run["radial_error_rad"]) if "radial_error_rad" in run.index else []
     opening = run.rows(np.flatnonzero(estimated))
     if len(opening) and any(pair.endswith(BODY) for pair in run.meta.pairs):
@@ -181,60 +183,65 @@ def _door_distance(run: Trace) -> Array:
     return run[f"d_{next(pair for pair in run.meta.pairs if pair.endswith(BODY))}_m"]
 
 
-_ABOUT = """
-min_distance_m: Smallest distance of each link pair; a negative distance is an overlap of bodies.
-min_clearance_m: Smallest distance of the pairs with the base.
-contacts: Steps in which the arm touched the base.
-arm_min_clearance_m: Smallest distance of the pairs within the arm.
-arm_contacts: Steps in which the arm touched itself.
-floor_contacts: Steps in which the arm touched the floor.
-ee_error_max_m: Largest distance of the end-effector from its target.
-ee_error_final_m: Final distance of the end-effector from its target.
-base_displacement_m: Displacement of the base from start to end.
-base_path_m: Length of the path of the base's centre.
-base_path_after_release_m: Length of the base's path since the last release; null without a release,
-    or if a person holds the robot at the end.
-base_speed_final_mps: Final speed of the base's centre.
-base_yaw_rad: Rotation of the base from start to end.
-activation_max: Largest activation of the controller's avoidance rows; 0 without such rows.
-base_acceleration_jump_max: Largest change of the commanded base acceleration in one step.
-base_acceleration_sign_changes: Sign changes of the commanded base acceleration.
-avoidance_acceleration_jump_max: Largest change of the base acceleration of avoidance in one step.
-avoidance_acceleration_sign_changes: Sign changes of the base acceleration of avoidance.
-torque_jump_max_nm: Largest change of a joint's torque or force in one step.
-torque_rate_sign_changes: Largest number of sign changes of a torque's rate.
-hand_force_max_n: Largest force of people on the end-effector, or of the end-effector on the door it
-    holds.
-hand_force_clear_max_n: As `hand_force_max_n`, until two bodies first come nearer than 10 mm.
-force_bound_min_n: Smallest value during the run of the largest force of a person that the arm can
-    resist, computed at 50 Hz; null if it was never computed.
-hand_speed_max_mps: Largest speed of the end-effector.
-joint_speed_share_max: Largest ratio of a joint's speed to its limit.
-joint_speed_share_unsaturated_max: Largest ratio of a joint's speed to its limit, except while a
-    torque is at its limit and for 0.1 s afterwards, because the arm cannot resist then.
-clear_since_s: Time after which no pair is fully activated; 0 if none ever was, null if a pair is
-    fully activated at the end.
-approach_speed_max_mps: Speed of the approach to the base that requires the largest d_b.
-buffer_needed_m: The d_b that the approach of `approach_speed_max_mps` requires; null if none
-    suffices.
-solver_failures: Steps with the fallback command.
-solver_given_up: Steps in which the base's QP had no solution.
-stuck: The end-effector's error at the end with its reasons, if the reference rests and the error
-    exceeds 1 mm; otherwise null.
-left_way: The largest tracking error with its reasons, if it exceeds 1 mm; otherwise null.
-fault_s: Time of the first report of each fault of the readings.
-step_p50_us: Median time of the controller in a step.
-step_p99_us: 99th percentile of the time of the controller in a step.
-door_angle_final_rad: Final angle of the door.
-door_opened_80deg_at_s: Time at which the door was first open by 80°; null if never.
-door_min_distance_m: Smallest distance between base and door.
-door_contacts: Steps in which the base touched the door.
-first_door_contact_s: Time of the first contact of the base with the door; null if never.
-door_met_base_s: Time of the first contact or overlap of the base with the door; null if never.
-radial_error_at_5s_rad: Error of the estimated radial direction after 5 s; null in a shorter run.
-base_back_off_s: Time at which the base is first 10 mm from its start; null if never.
-"""
-
+_ABOUT = {
+    "min_distance_m": "Smallest distance of each link pair; a negative distance is an overlap of "
+    "bodies.",
+    "min_clearance_m": "Smallest distance of the pairs with the base.",
+    "contacts": "Steps in which the arm touched the base.",
+    "arm_min_clearance_m": "Smallest distance of the pairs within the arm.",
+    "arm_contacts": "Steps in which the arm touched itself.",
+    "floor_contacts": "Steps in which the arm touched the floor.",
+    "ee_error_max_m": "Largest distance of the end-effector from its target.",
+    "ee_error_final_m": "Final distance of the end-effector from its target.",
+    "base_displacement_m": "Displacement of the base from start to end.",
+    "base_path_m": "Length of the path of the base's centre.",
+    "base_path_after_release_m": "Length of the base's path since the last release; null without a "
+    "release, or if a person holds the robot at the end.",
+    "base_speed_final_mps": "Final speed of the base's centre.",
+    "base_yaw_rad": "Rotation of the base from start to end.",
+    "activation_max": "Largest activation of the controller's avoidance rows; 0 without such rows.",
+    "base_acceleration_jump_max": "Largest change of the commanded base acceleration in one step.",
+    "base_acceleration_sign_changes": "Sign changes of the commanded base acceleration.",
+    "avoidance_acceleration_jump_max": "Largest change of the base acceleration of avoidance in "
+    "one step.",
+    "avoidance_acceleration_sign_changes": "Sign changes of the base acceleration of avoidance.",
+    "torque_jump_max_nm": "Largest change of a joint's torque or force in one step.",
+    "torque_rate_sign_changes": "Largest number of sign changes of a torque's rate.",
+    "hand_force_max_n": "Largest force of people on the end-effector, or of the end-effector on "
+    "the door it holds.",
+    "hand_force_clear_max_n": "As `hand_force_max_n`, until two bodies first come nearer than 10 "
+    "mm.",
+    "force_bound_min_n": "Smallest value during the run of the largest force of a person that the "
+    "arm can resist, computed at 50 Hz; null if it was never computed.",
+    "hand_speed_max_mps": "Largest speed of the end-effector.",
+    "joint_speed_share_max": "Largest ratio of a joint's speed to its limit.",
+    "joint_speed_share_unsaturated_max": "Largest ratio of a joint's speed to its limit, except "
+    "while a torque is at its limit and for 0.1 s afterwards, because the arm cannot resist then.",
+    "clear_since_s": "Time after which no pair is fully activated; 0 if none ever was, null if a "
+    "pair is fully activated at the end.",
+    "approach_speed_max_mps": "Speed of the approach to the base that requires the largest d_b.",
+    "buffer_needed_m": "The d_b that the approach of `approach_speed_max_mps` requires; null if "
+    "none suffices.",
+    "solver_failures": "Steps with the fallback command.",
+    "solver_given_up": "Steps in which the base's QP had no solution.",
+    "stuck": "The end-effector's error at the end with its reasons, if the reference rests and the "
+    "error exceeds 1 mm; otherwise null.",
+    "left_way": "The largest tracking error with its reasons, if it exceeds 1 mm; otherwise null.",
+    "fault_s": "Time of the first report of each fault of the readings.",
+    "step_p50_us": "Median time of the controller in a step.",
+    "step_p99_us": "99th percentile of the time of the controller in a step.",
+    "door_angle_final_rad": "Final angle of the door.",
+    "door_opened_80deg_at_s": "Time at which the door was first open by 80°; null if never.",
+    "door_min_distance_m": "Smallest distance between base and door.",
+    "door_contacts": "Steps in which the base touched the door.",
+    "first_door_contact_s": "Time of the first contact of the base with the door; null if never.",
+    "door_met_base_s": "Time of the first contact or overlap of the base with the door; null if "
+    "never.",
+    "radial_error_at_5s_rad": "Error of the estimated radial direction after 5 s; null in a "
+    "shorter run.",
+    "base_back_off_s": "Time at which the base is first 10 mm from its start; null if never.",
+}
+"""Descriptions of the figures, by their keys."""
 
 _OF_RUN: dict[str, Callable[[Trace], Any]] = {
     "min_distance_m": lambda r: dict(
@@ -293,16 +300,9 @@ _OF_DOOR: dict[str, Callable[[Trace], Any]] = {
 }
 
 
-def _figures(functions: dict[str, Callable[[Trace], Any]]) -> dict[str, Figure]:
-    """Figures by their keys, with the description that `_ABOUT` has for each key."""
-    rows = re.findall(r"^(\w+): (.+(?:\n .+)*)", _ABOUT, re.MULTILINE)
-    about = {key: " ".join(text.split()) for key, text in rows}
-    return {key: Figure(about[key], of) for key, of in functions.items()}
-
-
-FIGURES = _figures(_OF_RUN)
+FIGURES = {key: Figure(_ABOUT[key], of) for key, of in _OF_RUN.items()}
 """Figures of every run, by their keys."""
-DOOR = _figures(_OF_DOOR)
+DOOR = {key: Figure(_ABOUT[key], of) for key, of in _OF_DOOR.items()}
 """Figures of the opening of a door."""
 
 

@@ -166,9 +166,12 @@ def _acting() -> Quantity:
         return np.swapaxes(groups, 0, 1).ravel().tolist()
 
     def value(cells: Sequence[float], meta: TraceMeta) -> tuple[ActingReading, ...]:
-        groups = zip(meta.mobile_pairs, np.reshape(cells, (4, -1, 3)).swapaxes(0, 1), strict=True)
-        found = ((name, *map(frozen, each)) for name, each in groups if not np.isnan(each).all())
-        return tuple(map(ActingReading._make, found))
+        groups = np.swapaxes(np.reshape(cells, (4, -1, 3)), 0, 1)
+        return tuple(
+            ActingReading(name, *map(frozen, vectors))
+            for name, vectors in zip(meta.mobile_pairs, groups, strict=True)
+            if not np.isnan(vectors).all()
+        )
 
     return Quantity(columns, cells, value, take)
 
@@ -177,7 +180,8 @@ def _buffer() -> Quantity:
     """Make the quantity `buffer`: approach speeds, the d_b that they require, and two flags."""
     numbers = "approach_speed_mps buffer_needed_m approach_speed_max_mps buffer_needed_max_m"
     columns = [Column(name, often=True) for name in numbers.split()]
-    columns += [Column(f"buffer_too_small{ever}", "bool", often=True) for ever in ("", "_ever")]
+    columns.append(Column("buffer_too_small", "bool", often=True))
+    columns.append(Column("buffer_too_small_ever", "bool", often=True))
     return Quantity(
         lambda _: columns,
         lambda buffer, _: buffer,
@@ -211,7 +215,7 @@ def _door() -> Quantity:
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
+    """[N] largest force of a person that the arm can resist; NaN without a person or a bound."""
     if not (step.pulls and step.control.solved):  # the fallback command respects no limits
         return NAN
     force, size = step.person.hand, math.hypot(*step.person.hand.tolist())
@@ -351,7 +355,7 @@ class Snapshot:
     duration_us: Annotated[float, number("duration_us", "duration_us")] = NAN
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, number("force_bound_n", _smallest_force_bound)] = NAN
-    """[N] largest force of a person that the arm can resist; NaN if there is no bound."""
+    """[N] largest force of a person that the arm can resist; NaN without a person or a bound."""
     physics: str = ""  # name of the plant; empty if unknown
     seed: int | None = None  # seed of all random numbers; None if unknown
     run: int = 0  # number of the run since the start of the loop

@@ -201,8 +201,7 @@ class Recorder:
 
     def _begin(self, session: Session, step: Step) -> None:
         """Prepare the rows: the attributes of steps, then the computed numbers."""
-        base = session.model.body_names[0]
-        pairs = {pair.name: pair.a == base for pair in step.control.pairs}
+        pairs = {p.name: p.a == session.model.body_names[0] for p in step.control.pairs}
         scenario = self._scenario.name if self._scenario else ""
         about = {"scenario": scenario, "physics": session.kind, "seed": session.seed}
         self._meta = TraceMeta.of(session.model, pairs, session.config, **about)
@@ -261,12 +260,12 @@ class History:
         return self._latest
 
     def add(self, snapshot: Snapshot) -> None:
-        """Append a snapshot, which replaces the newest one if both have the same time.
-
-        A snapshot of another run, or of an earlier time, replaces all.
+        """Append a snapshot, which replaces the newest one if both have the same time. A snapshot
+        of another run, or of an earlier time, replaces all.
         """
         newest, stored = self._latest, Stored(snapshot)
-        if newest is None or not snapshot.follows(newest):  # other threads see no empty history
+        if newest is None or not snapshot.follows(newest):
+            # A new deque: other threads read the history meanwhile, so it must not become empty.
             self._stored = deque([stored], self._stored.maxlen)
         elif snapshot.t == newest.t:
             self._stored[-1] = stored
@@ -299,20 +298,24 @@ class Stuck(NamedTuple):
     ee_error_m: float  # [m] distance of the end-effector from its target
     ee_m: tuple[float, ...]  # (3,) [m] position of the end-effector, in the world
     target_m: tuple[float, ...]  # (3,) [m] target, in the world
-    reasons: tuple[str, ...]  # all reasons that apply, or "unknown"
+    reasons: tuple[str, ...]  # all reasons of `_off_target` that apply, or "unknown"
     joints: tuple[str, ...]  # names of the joints at their position limits
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
-    """The end-effector's state if it is more than 1 mm away from a resting reference, or None."""
-    if (reference := step.reference) is None or step.ee_error <= SHORT:
+    """Why the end-effector is more than 1 mm away from a resting reference; None if it is not."""
+    reference = step.reference
+    if reference is None or step.ee_error <= SHORT:
         return None
     rates = np.abs((reference.velocity, reference.acceleration))
     return None if rates.max() > _RESTING else _off_target(model, step)
 
 
 def _off_target(model: RobotModel, step: Step) -> Stuck:
-    """Where the end-effector is in a step with a reference, and why it is not at its target."""
+    """Where the end-effector is in a step with a reference, and why it is not at its target. With
+    "links too near", rows of T_sca for pairs within the arm, which precede the end-effector's task,
+    are active. With "border against end-effector", avoidance moves the base away from the target.
+    """
     state, n_b, q_m, reference = RobotState(model), model.n_b, step.truth.q_m, step.reference
     assert reference is not None
     state.update(step.truth)
@@ -322,8 +325,8 @@ def _off_target(model: RobotModel, step: Step) -> Stuck:
     at_limit = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
     joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
     w, speeds = step.control, np.abs(step.truth.qd_m) / model.qd_max
-    in_arm = w.B[n_b:][: len(w.pairs) - w.n_mob]  # rows of T_sca, before the end-effector's task
-    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ w.base_avoidance)  # with the base
+    in_arm = w.B[n_b:][: len(w.pairs) - w.n_mob]
+    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ w.base_avoidance)
     smallest_singular = np.linalg.svd(state.J_ee[:, n_b:], compute_uv=False)[-1]
     found = {
         "still moving": bool(state.v_ee[:3] @ towards > _MOVING),

@@ -60,7 +60,7 @@ def number_text(value: Any, none: str = "–") -> str:
     """A result, or a list or dictionary of results, as text; `none` is the text for None.
 
     A float that is not finite counts as None. Another float has three significant digits, but at
-    most six decimals; from a magnitude of 100 on it is an integer, and below 5e-7 it is 0.
+    most six decimals. From a magnitude of 100 on it is an integer; below 5e-7 it is 0.
     """
     if isinstance(value, dict):
         texts = (f"{name} {number_text(each, none)}" for name, each in value.items())
