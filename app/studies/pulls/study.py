@@ -70,7 +70,7 @@ def identity_of(parameters: StudyParameters) -> dict[str, Any]:
 def _rows(
     todo: Sequence[int], parameters: StudyParameters, scheduler: str | None, processes: int
 ) -> Generator[Row, None, None]:
-    """Run the cases with the numbers `todo`, and yield their rows."""
+    """Run the cases with the numbers `todo`, and yield each row when its case ends."""
     if not todo:
         return
     load = partial(case.load_sources, parameters.robot)
@@ -91,7 +91,7 @@ def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
     """The row of a case whose process has ended in each attempt."""
     drawn = case.draw_case(parameters, number, case.load_sources(parameters.robot))
-    return case.stopped(drawn, "the process was killed in each attempt")
+    return {**drawn, "nan": False, "error": "the process was killed in each attempt"}
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -146,12 +146,11 @@ class Journal(AbstractContextManager["Journal"]):
             stack.enter_context(self._file)  # closes it after an error
             if claim(self._file) is False:
                 raise StudyError(
-                    f"--out: another dbb study uses {folder}; wait until it ends, or choose "
-                    "another folder"
+                    f"--out: another dbb study uses {folder}; wait, or choose another folder"
                 )
             _check_identity(folder, identity)
             self._read(folder / _LINES)
-            stack.pop_all()
+            stack.pop_all()  # no error: the file stays open
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
@@ -216,10 +215,10 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
 
 
 def _client(scheduler: str) -> Any:
-    """Connect to the dask scheduler at an address, such as `tls://10.0.0.7:8786`.
+    """A dask client of the scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-    If it does not answer, or if not all of its workers have the code of this process, this raises a
-    StudyError. The certificates for `tls://` addresses come from dask's configuration.
+    If no scheduler answers, it has no workers, or a worker has other code than this process, this
+    raises a StudyError. The certificates for `tls://` addresses come from dask's configuration.
     """
     # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client
@@ -235,7 +234,7 @@ def _client(scheduler: str) -> Any:
             "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
         ) from None
     with ExitStack() as stack:
-        stack.callback(client.close)  # after an error
+        stack.callback(client.close)  # closes it after an error
         with suppress(TimeoutError):
             client.wait_for_workers(1, timeout=30.0)
         try:
@@ -246,19 +245,22 @@ def _client(scheduler: str) -> Any:
             raise StudyError(
                 f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
             )
-        if strange := [name for name, digest in digests.items() if digest != code_digest()]:
+        strange = [worker for worker, digest in digests.items() if digest != code_digest()]
+        if strange:
             raise StudyError(
                 f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
             )
-        stack.pop_all()
+        stack.pop_all()  # no error: the client stays connected
     return client
 
 
 def _map(
     client: Any, make_context: Task, function: Task, jobs: Sequence[int], *, lost: Task
 ) -> Iterator[Row]:
-    """As `Workers.map`, but yields the results in the order in which the jobs end. Each job calls
-    `make_context`, which caches the data that the jobs share.
+    """As `Workers.map`, but yields the results in the order in which the jobs end.
+
+    Each job calls `make_context`, which has to cache the data that the jobs share. `lost` makes the
+    result of a job whose worker ended in each attempt.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
