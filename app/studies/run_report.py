@@ -186,9 +186,7 @@ def torques_figure(run: Trace) -> Figure:
 
 @style.picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
-    """Paths of base and end-effector from above. A square marks the start, and a circle the
-    end. Arrows show the base's heading, grey at the start.
-    """
+    """Paths from above, from squares to circles. Arrows: heading of the base, grey at the start."""
     figure, ax = style.new_panels(5.0)
     for points, colour, text in (
         (run.of("base_pose"), style.PATH, "base"),

@@ -172,9 +172,7 @@ def _arm_grouping(
     return chosen
 
 
-def judge(
-    model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
-) -> Verdict:
+def judge(model: RobotModel, bodies: list[FittedBody], meetings: Meetings, d_b: float) -> Verdict:
     """The quality of bodies in up to 600 colliding and 600 free random postures of the meetings."""
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))

@@ -201,9 +201,8 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
 
 
 def _rare_postures(model: RobotModel, met: Meetings, seed: int) -> Array:
-    """(N, n_m) further colliding postures of pairs that collide in fewer than `_RARE` random ones:
-    variations of the postures in which the pair is nearest. Pairs in `met.close`, and pairs always
-    more than `_FAR` apart, are left out.
+    """(N, n_m) more colliding postures of pairs that collide in fewer than `_RARE` random postures:
+    variations of the nearest ones. Not for pairs in `met.close`, or always more than `_FAR` apart.
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]

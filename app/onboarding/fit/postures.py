@@ -371,9 +371,7 @@ class _Guide:
             yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from a start at height z [m] to the first end in `_LEFT_OVER` with a contact, or
-        to the last end; None if the arm cannot start, or comes too near to the floor.
-        """
+        """The line by `_led` from a start at height z [m]; None also if the arm cannot start."""
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])

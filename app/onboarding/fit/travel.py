@@ -9,7 +9,6 @@ from app.onboarding.read.links import Geometry, LinkGeometry, in_pieces, swept_s
 from app.onboarding.read.tree import MOVING, Joint, Tree, extends
 
 Positions = Mapping[str, float]  # [rad or m] by the names of the joints
-
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles in a range of up to 25 rad
 
 

@@ -65,9 +65,8 @@ def figure_11(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
 def figure_12(sources: Sources) -> drawing.Drawing:
-    """(a) When the distances fall below the buffer distance of 0.15 m, the avoidance task of each
-    method is inserted continuously with top priority. (b) The repulsive method has a position
-    error, the proposed method has none.
+    """(a) Below the buffer distance of 0.15 m, the avoidance task of each method is inserted
+    continuously with top priority. (b) The repulsive method has an error, the proposed method none.
     """
     distances = {pair: f"d_{pair}_m" for pair in _PAIRS}
     parts = sources.columns(_TRACKED, "t_s", *distances.values(), "ee_error_m")
@@ -98,9 +97,7 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
-@style.picture(
-    "fig13", "Figure 13: guiding of the end-effector towards the base", *DIRECTIONS.values()
-)
+@style.picture("fig13", "Figure 13: guiding of the end-effector to the base", *DIRECTIONS.values())
 def figure_13(sources: Sources) -> drawing.Drawing:
     """(a) If the end-effector is guided from the lateral direction, a force on the base avoids the
     collision. (b) If it is guided from the front, the base moves back while the arm approaches.
@@ -140,9 +137,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(figure, {"": table}, sources.results(DIRECTIONS, keys))
 
 
-@style.picture(
-    "fig15", "Figure 15: desired accelerations of the base while guiding", *paper.COMPARED
-)
+@style.picture("fig15", "Figure 15: desired accelerations of the base in guiding", *paper.COMPARED)
 def figure_15(sources: Sources) -> drawing.Drawing:
     """The desired linear (a) and angular (b) accelerations of the base, multiplied by activation,
     are smooth, without chattering or vibration, because the task transition is continuous.

@@ -155,9 +155,8 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 
 
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s], `dt` [s] apart, and the closest points of base and end-effector then.
-
-    The times cover the longest stay of the lateral guiding in the base's buffer, cut to `LONGEST`.
+    """Times (N,) [s], `dt` [s] apart, and closest points of base and end-effector then: the longest
+    stay of the lateral guiding in the base's buffer, cut to `LONGEST`.
     """
     # The errors of the collision library, about 0.3 mm, are larger than the motion in a step.
     # Therefore the points are on a spline through those of the recorded rows.

@@ -51,9 +51,8 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
 
 
 def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """The first control step at rest at a posture (n_m,); the next step overwrites the result.
-
-    The reference is at rest, `error` [m] above the end-effector's pose.
+    """The first control step at rest at a posture (n_m,), with a reference at rest `error` [m] above
+    the end-effector's pose; the next step overwrites the result.
     """
     model = controller.state.model
     measured = at_rest(model, q_m)

@@ -90,9 +90,8 @@ def base_in_plan(ax: Axes, model: RobotModel) -> None:
 
 
 def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:
-    """Limit axes in plan to a square around points (N, 2) or (N, 3) [m], with a margin [m].
-
-    Without the margin, the side of the square is at least `smallest` [m].
+    """Limit axes in plan to a square around points (N, 2) or (N, 3) [m], with a margin [m]; without
+    the margin, the side of the square is at least `smallest` [m].
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     half = max(smallest, float((high - low).max())) / 2 + margin

@@ -94,7 +94,7 @@ def figure_5(sources: Sources) -> drawing.Drawing:
 @style.picture("fig6", "Figure 6: reachability of the end-effector")
 def figure_6(sources: Sources) -> drawing.Drawing:
     """The scaled mean number of inverse kinematics solutions first increases, then decreases with
-    the distance from the mount. A parabola with A = 525.9 /m², B = 0.575 m, C = 100 approximates it.
+    the distance from the mount. A parabola with A = 525.9 /m², B = 0.575 m and C = 100 fits it.
     """
     fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
     reach_map = maps.sample_reach_map(sources.model, sources.pair.b, **fine)

@@ -45,7 +45,6 @@ _NOT_STORED = {
     *("stuck", "left_way"),  # no numbers
     *TIMES,
 }
-
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
 more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
@@ -275,9 +274,7 @@ def _met(row: Row, prefix: str) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded 1.05 times its speed limit at a time when no torque was at its limit
-    or had been there in the last 0.1 s.
-    """
+    """Whether a joint exceeded 1.05 of its speed limit, with no torque at its limit for 0.1 s."""
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > 1.05
 
 

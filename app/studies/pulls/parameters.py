@@ -24,7 +24,6 @@ FAULTS = {
     "stated_period": "period",
 }
 """The faults of a case, each with the name of the controller's report in `readings.FAULTS`."""
-
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
     "encoder_noise": "disturbance.encoder_noise",

@@ -136,18 +136,15 @@ class Journal(AbstractContextManager["Journal"]):
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open or start the journal of the study with this identity in an existing folder.
-
-        If the folder has another study or damaged data, or is in use, this raises a StudyError.
+        """Open or start the journal of the study with this identity in an existing folder; raises a
+        StudyError if the folder has another study or damaged data, or is in use.
         """
         self.rows: dict[int, Row] = {}  # by the number of the case
         self._file = (folder / _LINES).open("a+b")
         with ExitStack() as stack:
             stack.enter_context(self._file)  # closes it after an error
             if claim(self._file) is False:
-                raise StudyError(
-                    f"--out: another dbb study uses {folder}; wait, or choose another folder"
-                )
+                raise StudyError(f"--out: another dbb study uses {folder}; wait, or choose another")
             _check_identity(folder, identity)
             self._read(folder / _LINES)
             stack.pop_all()  # no error: the file stays open

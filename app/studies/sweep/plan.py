@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 Mode = Literal["tracking", "guiding"]
 Kind = Literal["side", "wheel_axis", "above"]
-
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b, the arm's point nearest to the base, at starts of paths along the wheel axis."""
 ERROR_LIMIT = 0.001  # [m] largest final error of a successful path

@@ -175,9 +175,7 @@ class StartFinder:
                 joint = self._state.model.body_joints[closest.pair.b]
                 row = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
                 q_m = q_m - row * error / (row @ row)
-        raise UnreachableError(
-            f"x of the arm's closest point p_b differs by at least {smallest:.1e} m"
-        )
+        raise UnreachableError(f"x of the arm's closest point differs by {smallest:.1e} m or more")
 
     def _closest(self, q_m: Array) -> ClosestPoints:
         """Closest points of the nearest pair with the base; the state then has the posture q_m."""
