@@ -35,7 +35,7 @@ class FittedBody(NamedTuple):
     units: tuple[int, ...]  # indices of the units that the body encloses
     fits: tuple[Fit, ...]  # its shapes, in `frame`
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """By the link of this body: the links nested with it, in bodies before the previous body."""
+    """By link of this body: links nested with it, in bodies nearer to the base than the previous."""
 
 
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
@@ -69,8 +69,8 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
-    """Hulls of one to four groups of parts. The merger of the two groups of which the common hull
-    adds the least volume makes a division with one group less.
+    """Divisions of parts into one to four groups, as lists of the groups' hulls. The merger of the
+    two groups whose common hull adds the least volume makes a division with one group less.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull

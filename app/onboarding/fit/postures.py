@@ -460,7 +460,7 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
     """Starts left and right of the base: at the mount's x, and near both ends of the base."""
-    # A base without sideways motion hardly avoids a line to its axle, but lines near its ends.
+    # A base without sideways motion hardly avoids a line to its axle.
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     sides = ((1.0, body.upper[1]), (-1.0, body.lower[1]))
     places = dict.fromkeys((float(np.clip(mount[0], low, high)), high, low))

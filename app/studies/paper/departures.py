@@ -51,7 +51,7 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
 
 
 def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """The first control step at rest at a posture (n_m,), with a reference at rest `error` [m] above
+    """The first control step at rest at a posture (n_m,), for a resting reference `error` [m] above
     the end-effector's pose; the next step overwrites the result.
     """
     model = controller.state.model

@@ -70,7 +70,7 @@ def identity_of(parameters: StudyParameters) -> dict[str, Any]:
 def _rows(
     todo: Sequence[int], parameters: StudyParameters, scheduler: str | None, processes: int
 ) -> Generator[Row, None, None]:
-    """Run the cases with the numbers `todo`, and yield each row when its case ends."""
+    """Run the cases with the numbers `todo`, and yield their rows."""
     if not todo:
         return
     load = partial(case.load_sources, parameters.robot)
