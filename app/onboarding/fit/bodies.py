@@ -35,7 +35,7 @@ class FittedBody(NamedTuple):
     units: tuple[int, ...]  # indices of the units that the body encloses
     fits: tuple[Fit, ...]  # its shapes, in `frame`
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """By link of this body: links nested with it, in bodies nearer to the base than the previous."""
+    """By link of this body: links nested with it in bodies nearer to the base than the last one."""
 
 
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
@@ -43,7 +43,7 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
     It has one to four boxes or polytopes, with the smallest cost: 0.03 for a box, 0.06 for a
     polytope, and the mean number of units of the arm that it touches. Units close to it by design
-    do not count. The mean is over random postures in which no links touch, or over all if all do.
+    do not count. The mean is over random postures without a contact of links, or else over all.
     """
     units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]

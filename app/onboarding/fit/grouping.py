@@ -315,7 +315,7 @@ def detection_of(
 
 
 def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[tuple[int, int]]:
-    """Pairs of units whose contacts plants count: on a monitored pair, without nested links."""
+    """Pairs of units of monitored bodies, without nested links: plants count their contacts."""
     nested = model.description.nested
     return [
         (u.index, v.index)
@@ -328,7 +328,7 @@ def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[t
 def _left_out(
     model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Geometry
 ) -> tuple[int, str]:
-    """`left_out` and `rule` of `Detection`, without units that touch in half of the postures."""
+    """`left_out` and `rule` of `Detection`, without units that touch in most postures."""
     units, q_m = met.units, met.random.q_m
     near, distant = sorted(met.close - met.nested), set(met.pairs)
     shaped = combinations([unit for unit in units if unit.parts], 2)

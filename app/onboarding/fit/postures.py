@@ -89,7 +89,7 @@ def _ready(search: PostureSearch, q_m: Array) -> Ready:
 
 
 def _placed(search: PostureSearch, mount: Array) -> float:
-    """[-] quality of the end-effector pose, up to 1.2; -10 near the floor, and over the mount."""
+    """[-] quality of the end-effector pose, up to 1.2; -10 near the floor or the mount's axis."""
     at = search.state.T_world_ee
     out = at.translation - mount
     away = float(np.hypot(*out[:2]))

@@ -39,7 +39,7 @@ class Unit(NamedTuple):
     """In `make_units`, 0 is the base, and 1 the links that are fixed to the base below the arm.
     Then each joint of the arm has one or two units: one beside the arm, if any, and the arm's."""
     frame: str
-    """In `make_units` the link that the joint moves, or the floor point; else the body's `frame`."""
+    """By `make_units`: the link that the joint moves, or the floor point; else the body's frame."""
     links: tuple[str, ...]
     joint: int  # number in pinocchio
     parts: tuple[Part, ...]

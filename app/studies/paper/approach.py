@@ -66,7 +66,7 @@ def figure_11(sources: Sources) -> drawing.Drawing:
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
 def figure_12(sources: Sources) -> drawing.Drawing:
     """(a) Below the buffer distance of 0.15 m, the avoidance task of each method is inserted
-    continuously with top priority. (b) The repulsive method has an error, the proposed method none.
+    continuously with top priority. (b) The repulsive method has a position error, the other none.
     """
     distances = {pair: f"d_{pair}_m" for pair in _PAIRS}
     parts = sources.columns(_TRACKED, "t_s", *distances.values(), "ee_error_m")
