@@ -155,8 +155,8 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 
 
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s], `dt` [s] apart, and closest points of base and end-effector then: the longest
-    stay of the lateral guiding in the base's buffer, cut to `LONGEST`.
+    """Times (N,) [s], `dt` [s] apart, in the longest stay of the lateral guiding in the base's
+    buffer, cut to `LONGEST`; and the closest points of base and end-effector at these times.
     """
     # The errors of the collision library, about 0.3 mm, are larger than the motion in a step.
     # Therefore the points are on a spline through those of the recorded rows.
@@ -176,7 +176,7 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table by times t (N,) [s]: p_b, p_act, its distance from the row before, ẍ_m of (16)."""
+    """A table by times t (N,) [s]: p_b, p_act, step of p_act from the row before, ẍ_m of (16)."""
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]

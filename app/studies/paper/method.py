@@ -233,7 +233,7 @@ def force_at(
 
 
 def turning(sources: Sources) -> Force:
-    """Of every 20th force in the buffer of WHEEL_AXIS, that with the largest smaller component."""
+    """Of each 20th force of WHEEL_AXIS in the buffer, that whose smaller component is largest."""
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::20]
     return max(

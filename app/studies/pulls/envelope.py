@@ -95,7 +95,7 @@ def tally(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of even cases inside an envelope fitted to odd cases plus odd inside even ones."""
+    """The tally of all cases inside an envelope that is fitted to the other half (even or odd)."""
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
     for fitted, others in (halves, halves[::-1]):
