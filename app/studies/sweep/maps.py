@@ -46,7 +46,7 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan of a bar's end; if more is better, at least the limit's radius."""
+        """[m] radius in plan of a bar's end; if larger values are better, at least the limit's."""
         shown = max(value, self.limit) if self.more_is_better else value
         return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
@@ -62,7 +62,7 @@ class Quantity(NamedTuple):
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
     """Final error, smallest distance and time for rows of paths; an overlap counts as distance 0.
 
-    The scales end at the largest distance at a start and at the longest time, both rounded up.
+    The last two scales end at the largest distance at a start, and the longest time, rounded up.
     """
     known = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(known, default=5.0) / 5.0)

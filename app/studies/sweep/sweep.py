@@ -156,7 +156,7 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Joint positions (n_m,) at which p_b, the arm's point nearest to the base, is at `x` [m].
+        """Joint positions (n_m,) at which p_b, the arm's point nearest to the base, has this x [m].
 
         The search starts at `q_m`, with the end-effector at `p_ee` (3,) [m]. If it fails, it raises
         an UnreachableError.
