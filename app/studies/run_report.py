@@ -188,10 +188,9 @@ def torques_figure(run: Trace) -> Figure:
 def plan_figure(run: Trace) -> Figure:
     """Paths from above, from squares to circles. Arrows: heading of the base, grey at the start."""
     figure, ax = style.new_panels(5.0)
-    for points, colour, text in (
-        (run.of("base_pose"), style.PATH, "base"),
-        (run.of("p_ee"), style.EE, "end-effector"),
-    ):
+    shown = ("base_pose", style.PATH, "base"), ("p_ee", style.EE, "end-effector")
+    for name, colour, text in shown:
+        points = run.of(name)
         ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
         ax.plot(*points[0, :2], **style.marker_style(colour, "s", 7.0))
         ax.plot(*points[-1, :2], **style.marker_style(colour))

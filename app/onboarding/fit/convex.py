@@ -127,10 +127,9 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope around points (N, 3) [m] with a face for each of 42 directions; else a box.
-
-    The result is a box if qhull finds no polytope. The frame of a polytope is at the centre of the
-    points' bounding box, with z along their first principal axis.
+    """A polytope around points (N, 3) [m] with a face for each of 42 directions, or a box if qhull
+    finds no polytope. The frame of a polytope is at the centre of the points' bounding box, with z
+    along their first principal axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]

@@ -165,10 +165,8 @@ def _arm_grouping(
     if chosen is None:
         shaped = [unit for unit in units if meetings.units[unit].parts]
         least = 1 + (1 in shaped and bool(slides))  # see `_ranked`
-        raise RobotFileError(
-            f"--bodies: the arm has {len(shaped)} groups of links; choose a number from {least} to "
-            f"{min(len(shaped), int(BOUNDS['bodies'].high))}"
-        )
+        text = f"--bodies: the arm has {len(shaped)} groups of links; choose a number from {least}"
+        raise RobotFileError(f"{text} to {min(len(shaped), int(BOUNDS['bodies'].high))}")
     return chosen
 
 

@@ -323,10 +323,9 @@ def contact_margin(distances: Array) -> float:
 
 
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
-    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents.
-
-    It is `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that
-    no valid value of `border.d_b` makes detectable are ignored.
+    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents. It
+    is `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that no
+    valid value of `border.d_b` makes detectable are ignored.
     """
     least, why = d_b, ""
     lower, upper = np.array(limits.lower), np.array(limits.upper)

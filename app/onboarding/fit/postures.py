@@ -228,10 +228,8 @@ def fault_of_run(
         return str(error)
     if moved >= (least := GIVES_WAY * search.d_b):
         return ""
-    return (
-        f"the base moves by {moved:.3f} m instead of {least:.3f} m; its smallest distance to the "
-        f"arm is {nearest:.3f} m"
-    )
+    text = f"the base moves by {moved:.3f} m instead of {least:.3f} m"
+    return f"{text}; its smallest distance to the arm is {nearest:.3f} m"
 
 
 def line_from(

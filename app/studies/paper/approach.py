@@ -37,15 +37,9 @@ _COLOURS: dict[str, Rgba] = {
 }
 _ACCELERATIONS = {"linear": "linear_mps2", "angular": "angular_radps2"}
 _OF_DOOR = (
-    "door_min_distance_m",
-    "door_contacts",
-    "door_met_base_s",
-    "door_angle_final_rad",
-    "door_opened_80deg_at_s",
-    "base_back_off_s",
-    "base_yaw_rad",
-    "hand_force_max_n",
-    "radial_error_at_5s_rad",
+    *("door_min_distance_m", "door_contacts", "door_met_base_s"),
+    *("door_angle_final_rad", "door_opened_80deg_at_s"),
+    *("base_back_off_s", "base_yaw_rad", "hand_force_max_n", "radial_error_at_5s_rad"),
 )
 
 

@@ -109,10 +109,9 @@ def load_sources(robot: str) -> StudySources:
 def draw_start(
     sources: StudySources, heights: Interval, rng: np.random.Generator
 ) -> tuple[Start, Array, int]:
-    """Draw a start in a range of heights [m]; every pair is outside its buffer there.
-
-    This returns the start, the arm's joint positions (n_m,) there, and the number of rejected
-    starts. If the arm reaches none of 600 drawn starts, this raises a StudyError.
+    """Draw a start in a range of heights [m]; every pair is outside its buffer there. This returns
+    the start, the arm's joint positions (n_m,) there, and the number of rejected starts. If the arm
+    reaches none of 600 drawn starts, this raises a StudyError.
     """
     d_b = sources.model.description.config.border.d_b
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
@@ -202,10 +201,9 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 def _draw_pull(
     start: Start, speed: float, longest: float, rng: np.random.Generator
 ) -> tuple[Array, bool, float, float]:
-    """Draw a pull from a start; `speed` [m/s] is the largest speed of the hand.
-
-    This returns the displacement (3,) [m], whether the pull is along the base, the duration [s] of
-    pull and rest, at most `longest`, and the pull's share [-] of the duration.
+    """Draw a pull from a start; `speed` [m/s] is the largest speed of the hand. This returns the
+    displacement (3,) [m], whether the pull is along the base, the duration [s] of pull and rest, at
+    most `longest`, and the pull's share [-] of the duration.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < 0.15
     across, turn = rng.standard_normal(3), rng.uniform(0, math.radians(45.0))

@@ -25,15 +25,9 @@ from app.studies.style import INK, SOFT, TARGET, new_panels, picture, pictures_i
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] limits of intervals
 _DISTRIBUTED = (
-    "hand_force_max_n",
-    "hand_force_clear_max_n",
-    "hand_speed_max_mps",
-    "joint_speed_share_max",
-    "joint_speed_share_unsaturated_max",
-    "base_path_after_release_m",
-    "min_clearance_m",
-    "arm_min_clearance_m",
-    "ee_error_final_m",
+    *("hand_force_max_n", "hand_force_clear_max_n", "hand_speed_max_mps"),
+    *("joint_speed_share_max", "joint_speed_share_unsaturated_max", "base_path_after_release_m"),
+    *("min_clearance_m", "arm_min_clearance_m", "ee_error_final_m"),
 )
 """Results whose quantiles are in the summary."""
 _QUANTILES = (0.0, 0.01, 0.05, 0.5, 0.95, 1.0)
@@ -133,10 +127,9 @@ def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[dic
 
 
 def _reported(rows: Rows, name: str) -> dict[str, int]:
-    """Count the cases with a fault, those with a report of it, and those with a timely report.
-
-    A fault begins at the control step nearest to `fault_at_s`, `stated_period` at 0. Earlier
-    reports do not count. A timely report comes at most 0.2 s after the beginning.
+    """Count the cases with a fault, those with a report of it, and those with a report at most
+    0.2 s after its beginning. A fault begins at the control step nearest to `fault_at_s`,
+    `stated_period` at 0. Earlier reports do not count.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -377,9 +370,8 @@ def _failures(rows: Rows) -> Part:
     body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:200]]
     more = f" The table has {len(body)} of {len(bad)} failures." if len(bad) > len(body) else ""
     text = (
-        f"The failures with the smallest forces are first.{more} "
-        "`dbb run --case failures/case-NNNNN.json` repeats a case; `dbb serve --case` with the "
-        "same file shows it in the dashboard."
+        f"The failures with the smallest forces are first.{more} `dbb run --case FILE` with a file "
+        "of the folder `failures` repeats a case; `dbb serve --case FILE` shows it."
     )
     return Part("Failures", text=[text], tables=[Grid([*_COLUMNS.values()], body, numbers=True)])
 

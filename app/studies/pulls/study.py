@@ -244,9 +244,8 @@ def _client(scheduler: str) -> Any:
             )
         strange = [worker for worker, digest in digests.items() if digest != code_digest()]
         if strange:
-            raise StudyError(
-                f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
-            )
+            names = ", ".join(strange)
+            raise StudyError(f"--scheduler: {names} of {scheduler} runs code of another version")
         stack.pop_all()  # no error: the client stays connected
     return client
 
@@ -254,10 +253,9 @@ def _client(scheduler: str) -> Any:
 def _map(
     client: Any, make_context: Task, function: Task, jobs: Sequence[int], *, lost: Task
 ) -> Iterator[Row]:
-    """As `Workers.map`, but yields the results in the order in which the jobs end.
-
-    Each job calls `make_context`, which has to cache the data that the jobs share. `lost` makes the
-    result of a job whose worker ended in each attempt.
+    """As `Workers.map`, but yields the results in the order in which the jobs end. Each job calls
+    `make_context`, which has to cache the data that the jobs share. `lost` makes the result of a
+    job whose worker ended in each attempt.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker

@@ -79,9 +79,8 @@ def point_of(p: Array) -> Point:
 
 
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance from a point p [m] in a box to the surface of the box, along a unit vector.
-
-    All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
+    """[m] distance from a point p [m] in a box to the surface of the box, along a unit vector. All
+    arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
     """
     with np.errstate(divide="ignore", over="ignore"):
         distances = np.where(direction > 0.0, upper - p, lower - p) / direction

@@ -44,29 +44,14 @@ _START_SHARE = 0.25  # [-] estimated share of the search for starts in the whole
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """The key in `sweep.json` for the paths of each kind."""
 _RESULTS = (
-    "ee_error_final_m",
-    "ee_error_max_m",
-    "min_clearance_m",
-    "arm_min_clearance_m",
-    "contacts",
-    "arm_contacts",
-    "floor_contacts",
-    "base_displacement_m",
-    "base_yaw_rad",
-    "activation_max",
-    "solver_failures",
+    *("ee_error_final_m", "ee_error_max_m", "min_clearance_m", "arm_min_clearance_m"),
+    *("contacts", "arm_contacts", "floor_contacts"),
+    *("base_displacement_m", "base_yaw_rad", "activation_max", "solver_failures"),
 )
 """Results of a run that are in `sweep.json`."""
 _FIRST = (
-    "kind",
-    "controller",
-    "height_m",
-    "speed_mps",
-    "direction_deg",
-    "offset_m",
-    "place_x_m",
-    "place_y_m",
-    "passed",
+    *("kind", "controller", "height_m", "speed_mps", "direction_deg"),
+    *("offset_m", "place_x_m", "place_y_m", "passed"),
 )
 """First columns of `sweep.csv`."""
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
