@@ -211,7 +211,8 @@ def test_forward_motion_is_measured_along_the_initial_heading():
         "base_y_m": np.array([0.0, 0.4]),
         "base_yaw_rad": np.array([np.pi / 2, 0.0]),
     }
-    assert claims.forward_motion(RunResult({}, Log(log))) == pytest.approx(0.4)
+    (backward,) = claims._back(RunResult({}, Log(log))).values.values()
+    assert backward == pytest.approx(-0.4)
 
 
 def test_jump_of_any_activation_is_detected():

@@ -57,9 +57,11 @@ def run_report(run: Trace, on_progress: OnProgress = lambda _: None) -> str:
         (path, tunables()[path].unit.removeprefix("-"), _value(usual), _value(had))
         for path, usual, had in config_changes([s.config for s in run.snapshots])
     ]
-    none = [] if changes else ["All parameters had the program's defaults."]
-    grid = Grid(("changed", "unit", "default", "here"), changes, numbers=True)
-    parts.append(Part("Parameters", "parameters", none, tables=[grid] if changes else []))
+    part = Part("Parameters", "parameters", ["All parameters had the program's defaults."])
+    if changes:
+        grid = Grid(("changed", "unit", "default", "here"), changes, numbers=True)
+        part = Part("Parameters", "parameters", tables=[grid])
+    parts.append(part)
     meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
     robot = f"Robot {meta.robot}" + (f", plant {meta.physics}" if meta.physics else "")
     robot += "" if meta.seed is None else f", seed {meta.seed}"
@@ -90,16 +92,16 @@ def _without_infinite(run: Trace) -> Trace:
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """Path, default and value of each parameter that differs from the program's default.
+    """Path, default and value of each parameter that a configuration changes from its default.
 
-    If the configurations have different values, the result has the list of these values.
+    If the configurations have different values, a list of these values replaces the value.
     """
-    had = {path: list(dict.fromkeys(c.value(path) for c in configs)) for path in tunables()}
-    return [
-        (path, about.default, had[path][0] if len(had[path]) == 1 else had[path])
-        for path, about in tunables().items()
-        if had[path] != [about.default]
-    ]
+    changes = []
+    for path, about in tunables().items():
+        had = list(dict.fromkeys(config.value(path) for config in configs))
+        if had != [about.default]:
+            changes.append((path, about.default, had[0] if len(had) == 1 else had))
+    return changes
 
 
 def _value(value: Any) -> str:
@@ -119,7 +121,7 @@ def distances_figure(run: Trace) -> Figure:
         line = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
         above.plot(run.t, run.distances[:, k], label=spoken(pair, chain) if chain else pair, **line)
         below.plot(run.t, run.betas[:, k], **line)
-    times, d_b = zip(*((s.t, s.d_b) for s in run.snapshots), strict=True)
+    times, d_b = [s.t for s in run.snapshots], [s.d_b for s in run.snapshots]
     if len(set(d_b)) == 1 and math.isfinite(d_b[0]):
         style.level(above, d_b[0], "buffer distance $d_b$")
     else:  # it changed during the run, or is missing
@@ -184,9 +186,7 @@ def torques_figure(run: Trace) -> Figure:
 
 @style.picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
-    """Paths of base and end-effector from above. A square marks the start, and a circle the
-    end. Arrows show the base's heading, grey at the start.
-    """
+    """Paths from above, from squares to circles. Arrows: heading of the base, grey at the start."""
     figure, ax = style.new_panels(5.0)
     shown = ("base_pose", style.PATH, "base"), ("p_ee", style.EE, "end-effector")
     for name, colour, text in shown:
@@ -201,8 +201,8 @@ def plan_figure(run: Trace) -> Figure:
         ax.annotate("", tip, (x, y), arrowprops=head)
     targets = np.array([s.hand_target for s in run.snapshots if s.hand_target is not None])
     if len(targets):
-        x, y, *_ = targets.T
-        ax.plot(x, y, ":", color=style.TARGET, linewidth=1.4, label="target of the pull")
+        line = {"color": style.TARGET, "linewidth": 1.4, "label": "target of the pull"}
+        ax.plot(targets[:, 0], targets[:, 1], ":", **line)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="x [m]", ylabel="y [m]")
     _legend_right(ax)

@@ -113,7 +113,7 @@ def docstring_of(function: Callable[..., Any]) -> str:
 
 
 def panel_title(axes: Axes, letter: str, text: str) -> None:
-    """Write a title, such as `(a) plan`, above the upper left corner; `letter` may be empty."""
+    """Write a title, such as `(a) plan`, above the upper left corner; `letter` can be empty."""
     title = f"({letter}) {text}" if letter else text
     # The title of three-dimensional axes is inside the axes, so the layout ignores it.
     axes.set_title(title, y=0.97 if axes.name == "3d" else None)
@@ -130,6 +130,5 @@ def level(axes: Axes, value: float, text: str) -> None:
 
 def marker_style(colour: str, marker: str = "o", size: float = 9.0) -> dict[str, Any]:
     """Keyword arguments of `plot` for a point that is visible on any background."""
-    look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": size}
-    edge = {"markeredgecolor": "white", "markeredgewidth": 1.2}
-    return look | edge | {"linestyle": "none", "zorder": 6}
+    edge = {"markeredgecolor": "white", "markeredgewidth": 1.2, "linestyle": "none", "zorder": 6}
+    return {"color": colour, "marker": marker, "markersize": size, **edge}

@@ -1,4 +1,4 @@
-"""Bodies around units of links: small convex shapes around the points that other units reach."""
+"""The bodies of a description: convex shapes around units (links that move as one rigid body)."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
@@ -35,16 +35,15 @@ class FittedBody(NamedTuple):
     units: tuple[int, ...]  # indices of the units that the body encloses
     fits: tuple[Fit, ...]  # its shapes, in `frame`
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """For a link of this body, the links nested with it in bodies nearer to the base that are not
-    the neighbour of this body."""
+    """By link of this body: links nested with it in bodies nearer to the base than the last one."""
 
 
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
-    By default l_m has one box. Each further shape, and each polytope instead of a box, has to save
-    more than 0.03 contacts per posture of l_m with links of the arm that are not close by design.
-    Postures in which links touch do not count, except if links touch in all postures.
+    It has one to four boxes or polytopes, with the smallest cost: 0.03 for a box, 0.06 for a
+    polytope, and the mean number of units of the arm that it touches. Units close to it by design
+    do not count. The mean is over random postures without a contact of links, or else over all.
     """
     units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -70,8 +69,8 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
-    """Divisions of parts into one to four groups, each with the hulls of its groups. The merger of
-    two groups that adds the least volume makes a division with one group less.
+    """Divisions of parts into one to four groups, as lists of the groups' hulls. The merger of the
+    two groups whose common hull adds the least volume makes a division with one group less.
     """
     groups = {k: hull(points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
@@ -109,7 +108,7 @@ class ArmFitter:
         move, the body encloses its links completely.
 
         Raises:
-            RobotFileError: The links of a group have no shapes.
+            RobotFileError: The links of a group have no shapes, or sweep less than 1 cm³.
         """
         groups, result = [self._mobile, *grouping], []
         for k, group in enumerate(grouping, 1):
@@ -121,8 +120,7 @@ class ArmFitter:
             fitted = self._smallest(units, needed) or self._smallest(units, whole)
             if fitted is None:
                 raise RobotFileError(
-                    f"the links {', '.join(links)} have no shapes for a body; choose another "
-                    "number of --bodies"
+                    f"the links {', '.join(links)} have no shapes for a body; change --bodies"
                 )
             fits, joint = fitted
             frame = next(unit.frame for unit in units if unit.joint == joint)
@@ -133,8 +131,8 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int] | None:
-        """The smallest fit of one or more shapes in a joint's frame, and the joint's number.
-        None if `masks` select no points of the units, or points that sweep less than `_SPOT`.
+        """A small fit of one or more shapes in a joint's frame, and the joint's number; None if
+        `masks` select no points of the units, or points that sweep less than `_SPOT`.
         """
         pieces = [
             (unit.joint, part)
@@ -187,9 +185,9 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to 
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, PointHull]:
-    """For each joint: the hull, in its frame, of the chain's points at all positions of the joints.
+    """By joint: a hull, in the joint's frame, around the chain's points at all joint positions.
 
-    `points` (N, 3) [m] are in the frame of each joint, by its number; the numbers are consecutive.
+    `points` has the points (N, 3) [m] on each joint, in its frame; joint numbers are consecutive.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}

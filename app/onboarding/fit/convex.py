@@ -49,7 +49,7 @@ class Fit(NamedTuple):
 
 
 def fit_best(around: PointHull, weights: dict[str, float]) -> Fit:
-    """The capsule, box or hull around a hull with the smallest volume times its weight [-]."""
+    """Of the kinds in `weights`, the shape around a hull with the least volume times weight [-]."""
     corners, inner = around
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
     shapes = {kind: kinds[kind](corners) for kind in weights}
@@ -127,9 +127,9 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope around points (N, 3) [m], with a face for each of 42 directions, in a frame at the
-    centre of the points' bounding box with z along their first principal axis; or a box if qhull
-    finds no polytope.
+    """A polytope around points (N, 3) [m] with a face for each of 42 directions, or a box if qhull
+    finds no polytope. The frame of a polytope is at the centre of the points' bounding box, with z
+    along their first principal axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -164,8 +164,8 @@ def volume_of(shape: Shape) -> float:
 def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """The pieces of a mesh, which planes cut until no cut saves enough volume.
 
-    A cut has to save, by the hulls of both halves instead of that of the piece, more than 8 cm³ and
-    more than 3 % of the volume of the hull of `mesh`.
+    A cut saves the volume of the piece's hull minus those of the hulls of both halves. It has to
+    save more than 8 cm³, and more than 3 % of the volume of the hull of `mesh`.
     """
     whole = hull(mesh.vertices).volume
     least = max(0.03 * whole, 0.02**3)
@@ -182,8 +182,8 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 
 def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The halves of a mesh, cut across an axis, with the smallest sum of hull volumes; or none."""
-    some = mesh.faces[:: 1 + len(mesh.faces) // 2000]
+    """The halves of a mesh with the smallest sum of hull volumes; none if no plane cuts it."""
+    some = mesh.faces[:: 1 + len(mesh.faces) // 2000]  # enough to choose a plane across an axis
     best, found = np.inf, None
     for normal, low, high in zip(np.eye(3), *mesh.bounds, strict=True):
         for at in np.outer(np.linspace(low, high, 9)[1:-1], normal):
@@ -207,7 +207,7 @@ def directions(subdivisions: int) -> Array:
 
 
 def _tight_frame(points: Array, axis: Array) -> Array:
-    """Rotation (3, 3): z along `axis`, x and y along the points' smallest rectangle across z."""
+    """Rotation (3, 3): z along `axis`, x and y along the points' smallest rectangle normal to z."""
     R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
     try:
         T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])

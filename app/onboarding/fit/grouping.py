@@ -1,8 +1,8 @@
 """Grouping of links into bodies whose pairs detect collisions and do not react in free postures.
 
 Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A pair of bodies
-detects a collision if the bodies overlap in the same posture. Neighbours are no pair, and pairs in
-`Verdict.unwatched` are not monitored.
+detects a collision if the bodies overlap in the same posture. Bodies that are neighbours are not a
+pair; the pairs in `Verdict.unwatched` are not monitored.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -93,8 +93,7 @@ def find_grouping(
     called with the finished share of each search.
 
     Raises:
-        RobotFileError: No grouping into `count` bodies is possible (the message has a valid range),
-            or as for `ArmFitter.bodies`.
+        RobotFileError: No grouping has `count` bodies; or as for `ArmFitter.bodies`.
     """
     fixed = meetings.units[1]
     own = {link: unit.index for unit in meetings.units for link in unit.links}
@@ -116,8 +115,10 @@ def find_grouping(
 def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
     """Whether monitored pairs overlap in 99.9 % of the postures in which a unit meets another."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
-    both = meetings.random, meetings.rare
-    q_m = [q[np.any(gaps[:, own] <= 0.0, axis=1) & possible] for q, gaps, possible in both]
+    q_m = [
+        postures.q_m[np.any(postures.distances[:, own] <= 0.0, axis=1) & postures.possible]
+        for postures in (meetings.random, meetings.rare)
+    ]
     names, distances = _body_distances(model, grouping.bodies, np.vstack(q_m))
     watched = [name not in grouping.verdict.unwatched for name in names]
     return _share(np.all(distances[:, watched] > 0.0, axis=1)) <= _MISSED
@@ -140,7 +141,7 @@ def _arm_grouping(
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
-        """The best of `found` and the most promising groupings into `counts` bodies, or None."""
+        """The best of `found` and the 60 most promising groupings into `counts` bodies, or None."""
         ranked = _ranked(units, counts, meetings, mobile, slides, apart)[:60]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
@@ -164,16 +165,12 @@ def _arm_grouping(
     if chosen is None:
         shaped = [unit for unit in units if meetings.units[unit].parts]
         least = 1 + (1 in shaped and bool(slides))  # see `_ranked`
-        raise RobotFileError(
-            f"--bodies: the arm has {len(shaped)} groups of links; choose a number from {least} to "
-            f"{min(len(shaped), int(BOUNDS['bodies'].high))}"
-        )
+        text = f"--bodies: the arm has {len(shaped)} groups of links; choose a number from {least}"
+        raise RobotFileError(f"{text} to {min(len(shaped), int(BOUNDS['bodies'].high))}")
     return chosen
 
 
-def judge(
-    model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
-) -> Verdict:
+def judge(model: RobotModel, bodies: list[FittedBody], meetings: Meetings, d_b: float) -> Verdict:
     """The quality of bodies in up to 600 colliding and 600 free random postures of the meetings."""
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))
@@ -203,9 +200,9 @@ def judge(
     missed, false = _share(~seen[real]), _share(seen[~real])
     cost = (
         _MISSED_COST * max(0.0, missed - _MISSED)
-        + 2.0 * false
+        + 2.0 * false  # bodies overlap in free postures
         + _BODY_COST * len(bodies)
-        + 0.25 * len(spurious)
+        + 0.25 * len(spurious)  # bodies overlap although their links never do
         + len(always)
         + 0.05 * len(unwatched)
     )
@@ -263,8 +260,7 @@ def detection_of(
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
     Contacts of units that are `neighbours`, or that `Meetings.close` has for the buffer distance
-    d_b [m], do not count; but contacts of pairs in `Meetings.apart` count. `workers` share the
-    postures.
+    d_b [m], do not count, but those of pairs in `Meetings.apart` do. `workers` share the work.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -317,7 +313,7 @@ def detection_of(
 
 
 def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[tuple[int, int]]:
-    """Units of a monitored pair of bodies, without nested links: plants count their contacts."""
+    """Pairs of units of monitored bodies, without nested links: plants count their contacts."""
     nested = model.description.nested
     return [
         (u.index, v.index)
@@ -330,7 +326,7 @@ def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[t
 def _left_out(
     model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Geometry
 ) -> tuple[int, str]:
-    """`left_out` and `rule` of `Detection`; pairs in `Meetings.nested` do not count."""
+    """`left_out` and `rule` of `Detection`, without units that touch in most postures."""
     units, q_m = met.units, met.random.q_m
     near, distant = sorted(met.close - met.nested), set(met.pairs)
     shaped = combinations([unit for unit in units if unit.parts], 2)
@@ -359,8 +355,8 @@ def _left_out(
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
-    """The largest range of one of the `joints` without a posture of q_m (N, n_m), as text; empty if
-    it is below `LEAST` of the joint's range (at most a turn), or if N is below `_FEWEST_CONTACTS`.
+    """The largest interval of one of the `joints` without a posture of q_m (N, n_m), as text; empty
+    if it is below `LEAST` of the joint's range (at most a turn), or if N < `_FEWEST_CONTACTS`.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
@@ -399,9 +395,8 @@ def _ranked(
     """All valid divisions of the chain into groups, each with the cost of its number of bodies.
 
     They are sorted by this cost plus that of the collisions missed by ideal bodies, which overlap
-    exactly if their links overlap. Each group has a shape. No group joins unit 1, if it has shapes,
-    with the units on prismatic joints, `slides`. If possible, the bodies of each pair of units in
-    `apart` are a pair.
+    exactly if their links overlap. Each group has a shape. If unit 1 has shapes, no group joins it
+    with `slides`, units on prismatic joints. If possible, bodies of units in `apart` are a pair.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

@@ -50,7 +50,8 @@ class Postures(NamedTuple):
     q_m: Array  # (N, n_m) [rad or m]
     distances: Array  # (N, pairs) [m] signed distances of hulls
     possible: Array
-    """(N,) whether no close pair touches, except nested pairs; limits prevent other postures."""
+    """(N,) whether no close pair touches; contacts of nested pairs do not count. The real robot's
+    joint limits have to prevent the other postures."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class Meetings:
         return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
 
     def monitored_from(self, pair: tuple[int, int]) -> float:
-        """The d_b [m] beyond which two units are in 60 % of the free postures; 0 if not valid."""
+        """Largest d_b [m] below two units' distance in 60 % of the free postures; 0 if invalid."""
         # The share 1 − `ALWAYS` would be sufficient for the links, but their bodies are larger.
         distances = self.random.distances
         gaps = distances[_free_postures(distances), self.pairs.index(pair)]
@@ -106,7 +107,7 @@ class Meetings:
         return wanted if wanted >= parameter("border.d_b").low else 0.0
 
     def detectable(self, pair: tuple[int, int]) -> str:
-        """A text with a d_b with which a pair can detect a contact; empty if no d_b is valid."""
+        """Words with the d_b of `monitored_from`, for a message; empty if no d_b is valid."""
         d_b = self.monitored_from(pair)
         return f", which a pair can detect with --buffer-distance {d_b:g} or less" if d_b else ""
 
@@ -125,9 +126,9 @@ def sample_meetings(
     """Distances between the hulls of all units that are not neighbours, in random postures.
 
     First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
-    them are `possible` and have a collision. If `counted` is not None, the robot is complete: its
-    joint limits prevent collisions of the pairs in `apart`, so that these pairs are not in `close`;
-    nor are `grazing` pairs in `counted`. Then `met` is empty.
+    them are `possible` and have a collision. For a complete robot, `counted` has the pairs whose
+    contacts count in plants, and the joint limits prevent contacts of the pairs in `apart`: `close`
+    has no pair of `apart` and no grazing pair of `counted`, and `met` is empty.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
@@ -163,7 +164,7 @@ def sample_meetings(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, *distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's units with `_RARE` contacts or more, at most `GRAZE` deep."""
+    """Pairs of the arm's units with `_RARE` contacts or more, all of them at most `GRAZE` deep."""
     depths = np.sort(-np.vstack(distances), axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= GRAZE)
     touching = compress(pairs, shallow)
@@ -183,7 +184,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
 
     Units are nested if they are in `found.nested` or `found.grazing`, or are neighbours that touch
-    in half of the postures or more. Links of grazing units are nested if they touch in a posture;
+    in half of the postures or more. Links of grazing units are nested if they touch in any posture;
     other links, if they touch in half or more of the postures in which their units touch.
     """
     a, b, grazing = found.units[u], found.units[v], (u, v) in found.grazing
@@ -200,9 +201,8 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
 
 
 def _rare_postures(model: RobotModel, met: Meetings, seed: int) -> Array:
-    """(N, n_m) further colliding postures of pairs that collide in fewer than `_RARE` random ones:
-    variations of the postures in which the pair is nearest. Pairs in `met.close`, and pairs always
-    more than `_FAR` apart, are left out.
+    """(N, n_m) more colliding postures of pairs that collide in fewer than `_RARE` random postures:
+    variations of the nearest ones. Not for pairs in `met.close`, or always more than `_FAR` apart.
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]
@@ -271,10 +271,10 @@ def with_stops(
 ) -> Limits:
     """Joint limits that, if possible, prevent contact of the base with links close to it by design.
 
-    For each such link that touches the base in a random posture, one joint before the link gets
-    narrower limits: the joint that retains the largest share of its range. If no joint retains a
-    quarter of its range, or of a turn if this is less, no limit changes. The limits have to include
-    the posture `ready` (n_m,), if it is not None.
+    For each of these links that touches the base in a random posture, one joint before the link
+    gets narrower limits: the joint that retains the largest share of its range. If no joint retains
+    a quarter of its range, or of a turn if this is less, no limit changes. `ready` (n_m,) is a
+    posture that the limits have to include, or None.
 
     Raises:
         RobotFileError: Limits can prevent the contact, but none of them includes `ready`.
@@ -316,13 +316,15 @@ def with_stops(
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] limit of contacts, for distances (N,) [m]: `MARGIN`, but less for adjacent links."""
+    """[m] distance up to which two links with `distances` (N,) [m] in postures count as in contact:
+    `MARGIN`, or half of the largest of `distances` if this is less, as for adjacent links.
+    """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 
 
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
-    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents:
-    `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that no
+    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents. It
+    is `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that no
     valid value of `border.d_b` makes detectable are ignored.
     """
     least, why = d_b, ""

@@ -74,7 +74,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The posture q_m (n_m,), with its nearest pair."""
+    """The posture q_m (n_m,), with the monitored pair that is nearest in it."""
     return _ready(_search(model, pairs), q_m)
 
 
@@ -89,7 +89,7 @@ def _ready(search: PostureSearch, q_m: Array) -> Ready:
 
 
 def _placed(search: PostureSearch, mount: Array) -> float:
-    """[-] quality of the end-effector's pose, up to 1.2; -10 near the floor or the mount's axis."""
+    """[-] quality of the end-effector pose, up to 1.2; -10 near the floor or the mount's axis."""
     at = search.state.T_world_ee
     out = at.translation - mount
     away = float(np.hypot(*out[:2]))
@@ -103,8 +103,7 @@ def _placed(search: PostureSearch, mount: Array) -> float:
 
 Point = tuple[float, float, float]
 _Start = tuple[Array, Array]
-"""(3,) [m] x and y of a start, and its distance from the box around l_m; (3,) unit vector towards
-the base."""
+"""(3,) [m] x, y and distance from the box around l_m of a start; (3,) unit vector to the base."""
 
 INNER = 0.4  # [-] share of d_b below which the distance to a base at rest has to fall on a line
 GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, relative to d_b
@@ -150,12 +149,12 @@ def find_place(
     """A line towards the side or the front of the base, or the reason why there is no line.
 
     A line starts at most 0.425 m and ends at most 0.125 m from l_m. If the end-effector follows it
-    without avoidance, the arm touches the base or comes nearer than `INNER` d_b. Lines with the
-    smallest `_Candidate.rank` are best; of equal lines, the first one of `_front` or `_lateral`.
+    without avoidance, the arm touches the base or comes nearer than `INNER` d_b. Lines to a contact
+    are best, then those to the smallest distance; of equal lines, that on which the arm best
+    compensates the base's motion, then the first one of `_front` or `_lateral`.
 
     `name` is the scenario, `guiding-front` or `guiding-lateral`. At least one of the monitored
-    `pairs` has l_m. For `fault` and `anyway` see `chosen`. `on_progress` is called with the
-    finished share of the search.
+    `pairs` has l_m. For `fault` and `anyway` see `chosen`. `on_progress` gets the finished share.
     """
     d_b = model.description.config.border.d_b
     guide = _Guide(model, pairs, d_b)
@@ -206,9 +205,8 @@ def fault_of_run(
 ) -> str:
     """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
-    At the end, the base has to be `GIVES_WAY` d_b away from its start. The arm has to stay
-    `CLEARANCE` away from the base, and 0.01 m from the floor. `on_progress` is called with the
-    finished share of the run.
+    At the end, the base has to be `GIVES_WAY` times d_b away from its start. The arm has to stay
+    `CLEARANCE` away from the base, and 0.01 m from the floor. `on_progress` gets the run's share.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -230,10 +228,8 @@ def fault_of_run(
         return str(error)
     if moved >= (least := GIVES_WAY * search.d_b):
         return ""
-    return (
-        f"the base moves by {moved:.3f} m instead of {least:.3f} m; its smallest distance to the "
-        f"arm is {nearest:.3f} m"
-    )
+    text = f"the base moves by {moved:.3f} m instead of {least:.3f} m"
+    return f"{text}; its smallest distance to the arm is {nearest:.3f} m"
 
 
 def line_from(
@@ -373,9 +369,7 @@ class _Guide:
             yield place
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from a start at height z [m] to the first end in `_LEFT_OVER` with a contact, or
-        to the last end; None if the arm cannot start, or comes too near to the floor.
-        """
+        """The line by `_led` from a start at height z [m]; None also if the arm cannot start."""
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
@@ -386,9 +380,9 @@ class _Guide:
     def _led(
         self, q_m: Array, p: Point, inwards: Array, out: float, lefts: Sequence[float]
     ) -> _Candidate | None:
-        """The line from p to the first end in `lefts` with a contact, or to the last end, if the
-        arm with the posture q_m (n_m,) follows it without avoidance; None if the arm comes too near
-        to the floor. For the other arguments see `_Candidate`.
+        """The line from p [m] to the first end in `lefts` with a contact, or to the last end. The
+        arm follows it from the posture q_m (n_m,) without avoidance. None if the arm comes too near
+        to the floor. The other arguments are fields of `_Candidate`.
         """
         search, model, least, carried, low = self._search, self._model, np.inf, [], np.inf
         speed, begin = model.description.config.ee_hold.min_speed, 0.0
@@ -463,7 +457,8 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 
 
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts left and right of the base: at the mount's x, and at both ends, far from an axle."""
+    """Starts left and right of the base: at the mount's x, and near both ends of the base."""
+    # A base without sideways motion hardly avoids a line to its axle.
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     sides = ((1.0, body.upper[1]), (-1.0, body.lower[1]))
     places = dict.fromkeys((float(np.clip(mount[0], low, high)), high, low))

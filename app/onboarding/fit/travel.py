@@ -9,7 +9,6 @@ from app.onboarding.read.links import Geometry, LinkGeometry, in_pieces, swept_s
 from app.onboarding.read.tree import MOVING, Joint, Tree, extends
 
 Positions = Mapping[str, float]  # [rad or m] by the names of the joints
-
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles in a range of up to 25 rad
 
 
@@ -99,8 +98,8 @@ def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Po
 
 
 def _range(joint: Joint) -> list[float]:
-    """Both ends of the range of a prismatic joint, or angles in equal steps over another range.
-    Without a range, a prismatic joint stays at zero, and another joint makes a whole turn.
+    """Both ends of a prismatic joint's range; for another joint, angles in equal steps over its
+    range. Without a range, a prismatic joint stays at zero, and another joint makes a whole turn.
     """
     low, high, slides = joint.lower, joint.upper, joint.kind == "prismatic"
     if low is None or high is None or low >= high or (high - low > 1e3 and not slides):

@@ -39,8 +39,7 @@ class Unit(NamedTuple):
     """In `make_units`, 0 is the base, and 1 the links that are fixed to the base below the arm.
     Then each joint of the arm has one or two units: one beside the arm, if any, and the arm's."""
     frame: str
-    """The link that the joint moves; the floor point for the first two units. In `units_of_links`,
-    the `frame` of the body."""
+    """By `make_units`: the link that the joint moves, or the floor point; else the body's frame."""
     links: tuple[str, ...]
     joint: int  # number in pinocchio
     parts: tuple[Part, ...]
@@ -68,8 +67,8 @@ def make_units(model: RobotModel, arm: Arm, geometry: Geometry) -> tuple[Unit, .
 
 
 def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit]]:
-    """The units of each body of a description, by its name: one for each joint that moves some of
-    its links. The units are numbered consecutively.
+    """The units of each body of a description, by the body's name. A body has one unit for each
+    joint that moves some of its links. The units are numbered consecutively.
     """
     covered = [(body, link) for body in model.description.bodies for link in body.covers]
     joint = {k: model.pin.frames[model.pin.getFrameId(k)].parentJoint for _, k in covered}
@@ -110,7 +109,7 @@ def _unit(
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
-    """The coordinates of points in frame A, from those in frame B (N, 3); T is T_A_B."""
+    """(N, 3) [m] coordinates in frame A of points with coordinates (N, 3) [m] in B; T is T_A_B."""
     return points @ T.rotation.T + T.translation
 
 
@@ -122,8 +121,8 @@ def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
 
 
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
-    """Whether contacts of two units are allowed by design: if they are on the same joint, if only
-    parallel prismatic joints separate them, or if one joint does and neither of them is `beside`.
+    """Whether contacts of two units are allowed by design: units on the same joint, units that only
+    parallel prismatic joints separate, and units that one joint separates if neither is `beside`.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -254,7 +253,7 @@ def link_gaps(
 def link_distances(
     model: RobotModel, shapes: dict[str, list[Placed]], pairs: Sequence[tuple[str, str]], q_m: Array
 ) -> Array:
-    """(N, pairs) [m] distances between links, whose hulls are in `shapes` by their names."""
+    """(N, pairs) [m] signed distances of links at q_m (N, n_m); `shapes` has the links' hulls."""
     number = list(shapes).index
     numbers = [(number(a), number(b)) for a, b in pairs]
     return shape_distances(model, list(shapes.values()), numbers, q_m)

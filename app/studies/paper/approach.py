@@ -35,17 +35,11 @@ _COLOURS: dict[str, Rgba] = {
     BODY: (0.83, 0.20, 0.62, 1.0),  # magenta
     "other bodies": (0.36, 0.62, 0.80, 1.0),
 }
-_ACCELERATIONS = ("linear_mps2", "angular_radps2")
+_ACCELERATIONS = {"linear": "linear_mps2", "angular": "angular_radps2"}
 _OF_DOOR = (
-    "door_min_distance_m",
-    "door_contacts",
-    "door_met_base_s",
-    "door_angle_final_rad",
-    "door_opened_80deg_at_s",
-    "base_back_off_s",
-    "base_yaw_rad",
-    "hand_force_max_n",
-    "radial_error_at_5s_rad",
+    *("door_min_distance_m", "door_contacts", "door_met_base_s"),
+    *("door_angle_final_rad", "door_opened_80deg_at_s"),
+    *("base_back_off_s", "base_yaw_rad", "hand_force_max_n", "radial_error_at_5s_rad"),
 )
 
 
@@ -57,17 +51,16 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     """
     strips = []
     for name, e in _TRACKED.items():
-        look = _TIMES, _VIEWS["lateral"], e.aim()
-        strips.append(drawing.Strip(name, style.METHOD_NAMES[name], sources.runs[e], *look))
-    text = "target and desired motion"
-    return drawing.snapshot_drawing(sources.model, strips, "controller", text, _MOTION)
+        text, view = style.METHOD_NAMES[name], _VIEWS["lateral"]
+        strips.append(drawing.Strip(name, text, sources.runs[e], _TIMES, view, e.aim()))
+    legend = "target and desired motion"
+    return drawing.snapshot_drawing(sources.model, strips, "controller", legend, _MOTION)
 
 
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
 def figure_12(sources: Sources) -> drawing.Drawing:
-    """(a) When the distances fall below the buffer distance of 0.15 m, the avoidance task of each
-    method is inserted continuously with top priority. (b) The repulsive method has a position
-    error, the proposed method has none.
+    """(a) Below the buffer distance of 0.15 m, the avoidance task of each method is inserted
+    continuously with top priority. (b) The repulsive method has a position error, the other none.
     """
     distances = {pair: f"d_{pair}_m" for pair in _PAIRS}
     parts = sources.columns(_TRACKED, "t_s", *distances.values(), "ee_error_m")
@@ -98,9 +91,7 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(figure, {"": table}, measured, [remark])
 
 
-@style.picture(
-    "fig13", "Figure 13: guiding of the end-effector towards the base", *DIRECTIONS.values()
-)
+@style.picture("fig13", "Figure 13: guiding of the end-effector to the base", *DIRECTIONS.values())
 def figure_13(sources: Sources) -> drawing.Drawing:
     """(a) If the end-effector is guided from the lateral direction, a force on the base avoids the
     collision. (b) If it is guided from the front, the base moves back while the arm approaches.
@@ -110,8 +101,8 @@ def figure_13(sources: Sources) -> drawing.Drawing:
         times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[name], e.aim()))
-    text = "guiding direction and its end"
-    return drawing.snapshot_drawing(sources.model, strips, "direction", text, _MOTION)
+    legend = "guiding direction and its end"
+    return drawing.snapshot_drawing(sources.model, strips, "direction", legend, _MOTION)
 
 
 @style.picture("fig14", "Figure 14: distances and activation while guiding", *DIRECTIONS.values())
@@ -140,13 +131,10 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(figure, {"": table}, sources.results(DIRECTIONS, keys))
 
 
-@style.picture(
-    "fig15", "Figure 15: desired accelerations of the base while guiding", *paper.COMPARED
-)
+@style.picture("fig15", "Figure 15: desired accelerations of the base in guiding", *paper.COMPARED)
 def figure_15(sources: Sources) -> drawing.Drawing:
-    """The desired linear (a) and angular (b) accelerations of the base, multiplied by the
-    activation, are smooth. They have no chattering or vibration, because the task transition is
-    continuous.
+    """The desired linear (a) and angular (b) accelerations of the base, multiplied by activation,
+    are smooth, without chattering or vibration, because the task transition is continuous.
     """
     runs = {
         f"{name}, {method}": (sources.runs[experiment], method)
@@ -157,9 +145,8 @@ def figure_15(sources: Sources) -> drawing.Drawing:
     figure, grid = style.new_panels(6.2, 2, 2, sharex="col", sharey="row")
     for k, (name, experiment) in enumerate(DIRECTIONS.items()):
         parts = {method: tables[f"{name}, {method}"] for method in reversed(paper.GUIDING)}
-        for ax, letter, column in zip(grid[:, k], "ab", _ACCELERATIONS, strict=True):
-            drawing.method_lines(ax, parts, column, linewidth=1.6)
-            kind = column.partition("_")[0]
+        for ax, letter, kind in zip(grid[:, k], "ab", _ACCELERATIONS, strict=True):
+            drawing.method_lines(ax, parts, _ACCELERATIONS[kind], linewidth=1.6)
             style.panel_title(ax, f"{letter}{k + 1}", f"{kind}, {name} direction")
         grid[1][k].set(xlim=(0.0, experiment.scenario.duration), xlabel="time [s]")
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
@@ -182,16 +169,20 @@ def _smoothness(run: RunResult, method: str) -> dict[str, object]:
     """The results of a run on the smoothness of base accelerations and torques, by their keys."""
     # The repulsive method has no base acceleration of avoidance.
     kinds = ("base",) if method == "repulsive" else ("avoidance", "base")
-    changes = "acceleration_jump_max", "acceleration_sign_changes"
+    changes = ("acceleration_jump_max", "acceleration_sign_changes")
     keys = [f"{kind}_{change}" for kind in kinds for change in changes]
-    return {k: run.figures[k] for k in (*keys, "torque_jump_max_nm", "torque_rate_sign_changes")}
+    keys += ["torque_jump_max_nm", "torque_rate_sign_changes"]
+    return {key: run.figures[key] for key in keys}
 
 
 def _avoidance_columns(run: RunResult, method: str) -> drawing.Table:
-    """Base acceleration of avoidance; for the repulsive method, the commanded base acceleration."""
+    """Times and base accelerations of avoidance; commanded ones for the repulsive method."""
     kind = "base" if method == "repulsive" else "avoidance"
-    names = "t_s", f"{kind}_a_mps2", f"{kind}_aw_radps2"
-    return dict(zip(("t_s", *_ACCELERATIONS), (run.trace[name] for name in names), strict=True))
+    return {
+        "t_s": run.trace["t_s"],
+        _ACCELERATIONS["linear"]: run.trace[f"{kind}_a_mps2"],
+        _ACCELERATIONS["angular"]: run.trace[f"{kind}_aw_radps2"],
+    }
 
 
 def _distance_panel(ax: Axes, sources: Sources, letter: str, title: str) -> None:
@@ -239,11 +230,11 @@ def figure_17(sources: Sources) -> drawing.Drawing:
     """
     view, strips = _door_view(_door()), []
     for name, experiment in _DOORS.items():
-        run = sources.runs[experiment]
+        run, text = sources.runs[experiment], style.METHOD_NAMES[name]
         look = {"solids": partial(refrigerator, run), "marks": arc(run)}
-        strips.append(drawing.Strip(name, style.METHOD_NAMES[name], run, _DOOR_TIMES, view, **look))
-    shown = "controller", "arc of the door's edge", _OF_DOOR, "door_angle_rad"
-    return drawing.snapshot_drawing(sources.model, strips, *shown)
+        strips.append(drawing.Strip(name, text, run, _DOOR_TIMES, view, **look))
+    legend, column = "arc of the door's edge", "door_angle_rad"
+    return drawing.snapshot_drawing(sources.model, strips, "controller", legend, _OF_DOOR, column)
 
 
 @style.picture("fig18", "Figure 18: distance of the door and activation", *_DOORS.values())

@@ -62,17 +62,28 @@ class Finding(NamedTuple):
     limits: tuple[Threshold, ...] = ()
 
 
-def compare(text: str, key: str, value: float | None, **bounds: Threshold) -> Finding:
-    """Compare a number with `low`, `high` or both; a missing or infinite number violates them."""
-    low, high, limits = bounds.get("low"), bounds.get("high"), tuple(bounds.values())
+def compare(
+    text: str,
+    key: str,
+    value: float | None,
+    *,
+    low: Threshold | None = None,
+    high: Threshold | None = None,
+) -> Finding:
+    """Compare a number with one or two bounds; a missing or infinite number violates them.
+
+    The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
+    """
+    limits = tuple(limit for limit in (low, high) if limit)
     required = f"at {'least' if low else 'most'} {limits[0]}"
     if low and high:
         required = f"{low.value:g} to {high}"
     if value is None or not np.isfinite(value):
         return Finding(f"{text}: never (required: {required})", False, {key: None}, limits)
     holds = (not low or value >= low.value) and (not high or value <= high.value)
-    text = f"{text} {value:.3g} {limits[0].unit}".strip() + f" (required: {required})"
-    return Finding(text, bool(holds), {key: float(value)}, limits)
+    number = f"{value:.3g} {limits[0].unit}".strip()
+    measured = f"{text} {number} (required: {required})"
+    return Finding(measured, bool(holds), {key: float(value)}, limits)
 
 
 Findings = Iterable[Finding]  # a claim holds if all of its findings hold
@@ -86,7 +97,7 @@ class Claim(NamedTuple):
     figure: str  # name of the figure with which `dbb reproduce` judges the claim
     paper: str  # the claim in this project's words
     needs: tuple[Experiment, ...]
-    measure: Measure  # of the sources, and of the run of each needed experiment
+    measure: Measure  # its arguments are the sources, and the run of each needed experiment
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """Measure the claim; return its entry in `metrics.json`."""
@@ -108,14 +119,8 @@ def claim(section: str, figure: str, *needs: Experiment) -> Callable[[Measure], 
     return lambda measure: Claim(section, figure, docstring_of(measure), needs, measure)
 
 
-def forward_motion(run: RunResult) -> float:
-    """[m] displacement of the base along the initial heading."""
-    first, last = run.trace.of("base_pose")[[0, -1]]
-    return float((last - first)[:2] @ [np.cos(first[2]), np.sin(first[2])])
-
-
 def beta_step(run: RunResult) -> float:
-    """[-] largest change of a base pair's activation between successive rows, 10 ms apart."""
+    """[-] largest change of an activation in 𝓛_m between successive rows, 10 ms apart."""
     betas = [run.trace[f"beta_{pair}"] for pair in ("lm-lEE", "lm-l3")]
     return max(float(np.abs(np.diff(beta)).max()) for beta in betas)
 
@@ -129,7 +134,9 @@ _error = partial(_figure, "final error", "ee_error_final_m")
 
 
 def _back(run: RunResult, text: str = "base moves back") -> Finding:
-    return compare(text, "backward_m", -forward_motion(run), low=MOVED)
+    first, last = run.trace.of("base_pose")[[0, -1]]
+    ahead = (last - first)[:2] @ [np.cos(first[2]), np.sin(first[2])]  # [m] along the first heading
+    return compare(text, "backward_m", -float(ahead), low=MOVED)
 
 
 def _moved(run: RunResult, text: str = "base moves", of: str = "") -> Finding:
@@ -306,15 +313,15 @@ def trade_off(s: Sources, _: RunResult) -> Findings:
     table = density.trade_off(s)
     *jump, surface = table["jump_max_m"].tolist()
     cost, count = (table[k][:-1].tolist() for k in ("find_p50_us", "points"))
-    text = ", ".join(
+    borders = ", ".join(
         f"{n} points: {1e3 * j:.0f} mm, {c:.0f} µs"
         for n, j, c in zip(count, jump, cost, strict=True)
     )
-    text = f"largest jump and median time of a search: {text}; jump on the surface: "
-    values = {"jump_sparse_m": jump[0], "jump_dense_m": jump[-1], "find_sparse_us": cost[0]}
-    values |= {"find_dense_us": cost[-1], "jump_surface_m": surface}
+    jumps = {"jump_sparse_m": jump[0], "jump_dense_m": jump[-1], "jump_surface_m": surface}
+    costs = {"find_sparse_us": cost[0], "find_dense_us": cost[-1]}
+    text = f"largest jump and median time of a search: {borders}; jump on the surface: "
     holds = jump[-1] < jump[0] and cost[-1] > cost[0]
-    yield Finding(f"{text}{1e3 * surface:.0f} mm", holds, values)
+    yield Finding(f"{text}{1e3 * surface:.0f} mm", holds, {**jumps, **costs})
 
 
 @claim("4.3", "density")
@@ -331,6 +338,6 @@ CLAIMS = [each for each in list(globals().values()) if isinstance(each, Claim)]
 
 
 def claims_of(figures: Iterable[str]) -> list[Claim]:
-    """The claims that belong to some figures."""
+    """The claims that `dbb reproduce` judges with the figures of these names."""
     names = set(figures)
     return [claim for claim in CLAIMS if claim.figure in names]

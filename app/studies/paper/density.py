@@ -63,7 +63,10 @@ def figure_density(sources: Sources) -> drawing.Drawing:
 @cache
 def trade_off(sources: Sources) -> drawing.Table:
     """Results of `jump_and_cost` for each number of points and, last, for the surface."""
-    path, whole = path_in_buffer(sources), len(sources.border)
+    run, whole, d_b = sources.runs[LATERAL].trace, len(sources.border), sources.config.border.d_b
+    t = np.arange(run.t[0], run.t[-1], DT)  # each control step
+    q_m = np.column_stack([np.interp(t, run.t, q) for q in run.of("q_m").T])
+    path = [closest for closest in sources.closest_points(q_m) if closest.d < d_b]
     counts = [n for n in (5_000, 10_000, 20_000, PAPERS_COUNT) if n < whole] + [whole]
     finders = [("points", n, sources.finder(thinned(sources.border, n))) for n in counts]
     finders.append(("surface", whole, sources.finder()))
@@ -85,19 +88,11 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
 
 
 def thinned(whole: Points, count: int) -> Points:
-    """A border or cloud with `count` of its points, a fixed random choice."""
+    """A border or cloud with `count` of its points, always the same random choice."""
     chosen = np.sort(np.random.default_rng(0).choice(len(whole), count, replace=False))
-    arrays = {name: x for name, x in vars(whole).items() if isinstance(x, Array)}
-    return replace(whole, **{name: x[chosen] for name, x in arrays.items()})
-
-
-def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
-    """Closest points of base and end-effector in each control step of LATERAL inside the buffer."""
-    run = sources.runs[LATERAL].trace
-    fine = np.arange(run.t[0], run.t[-1], DT)
-    q_m = np.column_stack([np.interp(fine, run.t, q) for q in run.of("q_m").T])
-    d_b = sources.config.border.d_b
-    return [closest for closest in sources.closest_points(q_m) if closest.d < d_b]
+    if isinstance(whole, Cloud):
+        return replace(whole, points=whole.points[chosen], distances=whole.distances[chosen])
+    return replace(whole, points=whole.points[chosen])
 
 
 def jump_and_cost(
@@ -128,7 +123,8 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     figure, (plan, steps) = style.new_panels(4.6, 1, 2, width_ratios=(1, 1.35))
     style.panel_title(plan, "", "the acting point from above")
     style.panel_title(steps, "", "motion of the acting point in each control step")
-    for (kind, along), mark in zip(found.items(), ".-", strict=True):
+    for kind, along in found.items():
+        mark = "." if kind == "points" else "-"
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
         x, y = along["p_act_x_m"], along["p_act_y_m"]
         plan.plot(x, y, mark, markersize=4, linewidth=2.2, **look)
@@ -143,7 +139,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     drawing.square_around(plan, np.column_stack([x, y]), 0.03)
     plan.legend(loc="upper right", fontsize=9)
     steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]", yscale="log")
-    steps.set_xlim(*coarse[0][[0, -1]])
+    steps.set_xlim(coarse[0][0], coarse[0][-1])
     steps.legend(loc="lower right", fontsize=9)
     return drawing.Drawing(
         figure,
@@ -159,9 +155,8 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 
 
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s] with a step `dt` [s], and closest points of base and end-effector at them.
-
-    The times cover the longest stay of the lateral guiding in the base's buffer, cut to `LONGEST`.
+    """Times (N,) [s], `dt` [s] apart, in the longest stay of the lateral guiding in the base's
+    buffer, cut to `LONGEST`; and the closest points of base and end-effector at these times.
     """
     # The errors of the collision library, about 0.3 mm, are larger than the motion in a step.
     # Therefore the points are on a spline through those of the recorded rows.
@@ -170,17 +165,18 @@ def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Clos
     stays = np.ma.clump_unmasked(np.ma.masked_array(run.t, outside))
     begin, end = max((run.t[stay] for stay in stays), key=len)[[0, -1]]
     t = np.arange(begin, min(end, begin + LONGEST), dt)
-    recorded, names = sources.closest_points(run.of("q_m")), ("d", "p_a", "p_b", "n")
-    d, p_a, p_b, n = (CubicSpline(run.t, [getattr(c, x) for c in recorded])(t) for x in names)
+    rows, names = sources.closest_points(run.of("q_m")), ("d", "p_a", "p_b", "n")
+    recorded = ([getattr(closest, name) for closest in rows] for name in names)
+    d, p_a, p_b, n = (CubicSpline(run.t, values)(t) for values in recorded)
     n /= np.linalg.norm(n, axis=1)[:, None]
-    rows = zip(d, p_a, p_b, n, p_b, strict=True)
-    return t, [ClosestPoints(sources.pair, *row) for row in rows]
+    smooth = zip(d, p_a, p_b, n, p_b, strict=True)
+    return t, [ClosestPoints(sources.pair, *row) for row in smooth]
 
 
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table by times t (N,) [s]: p_b, p_act, step of p_act from the last row, ẍ_m of (16)."""
+    """A table by times t (N,) [s]: p_b, p_act, step of p_act from the row before, ẍ_m of (16)."""
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]
@@ -202,7 +198,7 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """For each border, the largest changes between successive rows; then ratios of the borders."""
+    """For each border, the largest changes between successive rows; then points over surface."""
     result: dict[str, Any] = {}
     linear, angular = "acceleration_step_max_mps2", "acceleration_step_max_radps2"
     for kind, along in found.items():
@@ -211,6 +207,7 @@ def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) 
         for key, column in ((linear, "base_a_mps2"), (angular, "base_aw_radps2")):
             sizes[key] = float(np.abs(np.diff(along[column])).max())
         result[kind] = sizes
-    over = {key: result["points"][key] / result["surface"][key] for key in (linear, angular)}
-    ratios = {"linear_ratio": over[linear], "angular_ratio": over[angular]}
+    points, surface = result["points"], result["surface"]
+    ratios = {"linear_ratio": points[linear] / surface[linear]}
+    ratios["angular_ratio"] = points[angular] / surface[angular]
     return {**result, "points_over_surface": ratios}

@@ -51,9 +51,8 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
 
 
 def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """The first control step at rest at a posture (n_m,); the next step overwrites the result.
-
-    The reference is at rest, `error` [m] above the end-effector's pose.
+    """The first control step at rest at a posture (n_m,), for a resting reference `error` [m] above
+    the end-effector's pose; the next step overwrites the result.
     """
     model = controller.state.model
     measured = at_rest(model, q_m)
@@ -72,7 +71,7 @@ def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
     """q̈ (n,) of the project's form: the base's own rows with the activations B (k,) determine the
-    base; then the arm's QP without limits determines the arm.
+    base's part of q̈; then the arm's QP without limits determines the arm's part.
     """
     n_b = w.n_b
     H, c = insert_rows(w.H, w.c, w.J_sca[n_b:], w.b_sca[n_b:], B[n_b:], gains.slack_weight, n_b)
@@ -82,18 +81,10 @@ def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B (k,): `base` in the base's rows, `link` for the `pair` of L_m^c, else 0."""
+    """The diagonal of B (k,): `base` in the base's rows, `link` in row `pair` of L_m^c, else 0."""
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
     return B
-
-
-def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] ‖q̈ of (29) − q̈ of (26)‖ at B = 0 for the base's rows, with (29) as printed."""
-    below = hqp.tasks_below(w, gains)
-    qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
-    literal = hqp.cascade([hqp.Task(w.J_sca[rows], -w.J_sca[rows] @ qdd_2), *below])
-    return float(np.linalg.norm(literal - qdd_2))
 
 
 def _of_states(sources: Sources) -> Iterator[tuple[Any, ...]]:
@@ -110,7 +101,10 @@ def _of_states(sources: Sources) -> Iterator[tuple[Any, ...]]:
         w, n_b = step_at_rest(controller, q_m, 0.001), w.n_b
         inserted = here(w, np.zeros(len(w.B)), gains)[n_b:]
         change = inserted - np.linalg.solve(w.H[n_b:, n_b:], -w.c[n_b:])
-        left.append([left_as_printed(w, gains), float(np.linalg.norm(change))])
+        below, J = hqp.tasks_below(w, gains), w.J_sca[:n_b]
+        qdd_2 = hqp.cascade(below)  # (26); next, (29) as printed, for the base's rows with B = 0
+        literal = hqp.cascade([hqp.Task(J, -J @ qdd_2), *below])
+        left.append([float(np.linalg.norm(each)) for each in (literal - qdd_2, change)])
     w = step_at_rest(controller, postures(sources)[0], 1.0)
     demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
     jumps = [jump(sources, controller, solve) for solve in (printed, here)]

@@ -90,9 +90,8 @@ def base_in_plan(ax: Axes, model: RobotModel) -> None:
 
 
 def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:
-    """Limit axes in plan to a square around points (N, 2) or (N, 3) [m], with a margin [m].
-
-    Without the margin, the side of the square is at least `smallest` [m].
+    """Limit axes in plan to a square around points (N, 2) or (N, 3) [m], with a margin [m]; without
+    the margin, the side of the square is at least `smallest` [m].
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     half = max(smallest, float((high - low).max())) / 2 + margin
@@ -103,7 +102,7 @@ def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0)
 def framed(
     camera: Camera, meshes: list[trimesh.Trimesh], points: Iterable[Array] = (), top: float = np.inf
 ) -> Camera:
-    """The camera, moved to show meshes and points, (N, 3) each, up to the height `top` [m]."""
+    """The camera, moved to show meshes and points, (N, 3) [m] each, up to the height `top` [m]."""
     shown = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
     shown[:, 2] = np.minimum(shown[:, 2], top)
     return camera._replace(target=shown.mean(axis=0)).framing(shown, 0.05)
@@ -122,7 +121,7 @@ class Strip(NamedTuple):
     marks: Array | None = None  # (N, 3) [m] a line on the floor, such as a door's arc
 
     def paths(self, *columns: str) -> Table:
-        """Each tenth row: time, pose of the base, position of the end-effector, and `columns`."""
+        """Every tenth row: time, pose of the base, position of the end-effector, and `columns`."""
         run = self.run.trace
         table = {name: run[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
         table |= points_table(run.of("p_ee"), "hand_") | {name: run[name] for name in columns}
@@ -146,13 +145,14 @@ def snapshot_drawing(
             part.suptitle(f"({letter}) {strip.text}", x=0.01, ha="left", weight="bold")
             for ax, t in zip(part.subplots(1, _COLUMNS), strip.times, strict=True):
                 _panel(ax, model, strip, cameras[strip.view], photographer, t)
-    dots: dict[str, Any] = {"color": style.TARGET, "linestyle": ":"}
-    last = style.marker_style(style.TARGET) if strips[0].marks is None else dots
+    look: dict[str, Any] = {"color": style.TARGET, "linestyle": ":"}
+    if strips[0].marks is None:
+        look = style.marker_style(style.TARGET)
     handles = [
         Line2D([], [], color=style.SOFT, linestyle="--", label="start of the base"),
         Line2D([], [], color=style.PATH, label="path of the base's centre"),
         Line2D([], [], color=style.EE, label="path of the end-effector"),
-        Line2D([], [], label=text, **last),
+        Line2D([], [], label=text, **look),
     ]
     place = {"loc": "outside lower center", "ncols": len(handles), "handlelength": 2.2}
     figure.legend(handles=handles, fontsize=10, **place)

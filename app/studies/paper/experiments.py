@@ -30,7 +30,7 @@ ROBOT = "husky_panda"  # the paper's robot
 
 
 class Experiment(RunSpec):
-    """A run of the paper's robot, as `dbb run` makes it."""
+    """The specification of a run of the paper's robot, as `dbb run` makes it."""
 
     @classmethod
     def of(cls, scenario: str, controller: str, **line: Point) -> Self:
@@ -122,7 +122,7 @@ class Sources:
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
-        """Acting point and force (3,) [N], in the base's frame; `force` replaces `config.force`."""
+        """Acting point, force (3,) [N] in the base's frame; `force` defaults to `config.force`."""
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
         assert acting is not None  # the paper's robot has a border at every height in the buffer
@@ -143,11 +143,11 @@ class Sources:
         return self.runs[experiment].trace[f"d_{self.pair.name}_m"]
 
     def results(self, named: Named, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
-        """Some results of each experiment, by the names of the experiments."""
+        """The results with these keys of each experiment, by the names in `named`."""
         return {name: {key: self.runs[e].figures[key] for key in keys} for name, e in named.items()}
 
     def columns(self, named: Named, *columns: str) -> dict[str, dict[str, Array]]:
-        """Some columns of each experiment's trace, by the names of the experiments."""
+        """These columns of each experiment's trace, by the names in `named`."""
         return {name: {c: self.runs[e].trace[c] for c in columns} for name, e in named.items()}
 
 

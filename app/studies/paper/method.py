@@ -33,25 +33,27 @@ _SMOOTH = 1.0  # [-] standard deviation of the Gaussian filter, in steps of the 
 
 @style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
 def figure_3(sources: Sources) -> drawing.Drawing:
-    """(a) The sampled points of the arm's links are around the mobile base. (b) The points whose
-    distance from the mobile base is 0.15 m, the buffer distance, within a tolerance of 0.01 m are
-    the distance buffer borders.
+    """(a) The sampled points of the arm's links are around the mobile base. (b) The points at the
+    buffer distance, 0.15 m, from the base, with a tolerance of 0.01 m, are the borders (DBB).
     """
     rng, config = np.random.default_rng(0), sources.config.border
     parts: dict[str, drawing.Table] = {}
     measured: dict[str, Any] = {"buffer_distance_m": config.d_b, "tolerance_m": config.eps}
     figure = style.new_figure(7.6)
     for k, pair in enumerate(sources.data.pairs.mobile, start=1):
-        sets = {"P": sources.data.clouds[pair.name].points_m, "DBB": sources.border_of(pair).points}
-        measured[pair.name] = {f"points_{kind}": len(points) for kind, points in sets.items()}
-        for (kind, points), row, alpha in zip(sets.items(), (0, 1), (0.25, 0.5), strict=True):
+        cloud, border = sources.data.clouds[pair.name].points_m, sources.border_of(pair).points
+        measured[pair.name] = {"points_P": len(cloud), "points_DBB": len(border)}
+        for kind, letter, points, place, alpha in (
+            ("P", "a", cloud, k, 0.25),
+            ("DBB", "b", border, k + 2, 0.5),
+        ):
             part = drawing.points_table(points[_some(len(points), rng)])
             parts[f"{kind} {pair.name}"] = part
-            ax = figure.add_subplot(2, 2, 2 * row + k, projection="3d")
+            ax = figure.add_subplot(2, 2, place, projection="3d")
             _view(ax, sources.model, next(iter(parts.values())), 1.05)
             _scatter(ax, part, color=style.PAIR_COLOURS[pair.name], alpha=alpha)
             text = rf"$\mathcal{{{kind}}}_i$ of {style.PAIR_NAMES[pair.name]}"
-            style.panel_title(ax, f"{'ab'[row]}{k}", text)
+            style.panel_title(ax, f"{letter}{k}", text)
     remark = f"The picture and the CSV have at most {_SHOWN} points of each set."
     return drawing.Drawing(figure, {"": drawing.stacked(parts, "set")}, measured, [remark])
 
@@ -60,8 +62,7 @@ def figure_3(sources: Sources) -> drawing.Drawing:
 def figure_5(sources: Sources) -> drawing.Drawing:
     """(a) The determinant is symmetric about the X-axis and is zero on the wheel axis. (b) The
     reachability depends only on the distance from the arm's mount. (c) The score is the product of
-    determinant and reachability, with the sign of x. It has one global maximum, in front of the
-    base.
+    both, with the sign of x. It has one global maximum, in front of the base.
     """
     border, field = sources.border, sources.field
     points = border.points[_some(len(border), np.random.default_rng(0))]
@@ -72,11 +73,12 @@ def figure_5(sources: Sources) -> drawing.Drawing:
     }
     table = drawing.points_table(points) | values
     labels = (r"$\det(J_c J_c^T)$ [m⁴/rad⁴]", r"$\mathcal{R}$ [–]", r"$\mathcal{S}$ [m⁴/rad⁴]")
+    titles = ("determinant", "reachability", "score")
     figure, grid = style.new_panels(4.8, 1, 3, subplot_kw={"projection": "3d"})
-    for ax, letter, (column, value), label in zip(grid, "abc", values.items(), labels, strict=True):
+    for ax, letter, title, column, label in zip(grid, "abc", titles, values, labels, strict=True):
         _view(ax, sources.model, table, 0.9)
-        shown = _scatter(ax, table, c=value, cmap=style.SCORE_MAP)
-        style.panel_title(ax, letter, column.partition("_")[0])
+        shown = _scatter(ax, table, c=table[column], cmap=style.SCORE_MAP)
+        style.panel_title(ax, letter, title)
         bar = figure.colorbar(shown, ax=ax, label=label, orientation="horizontal", shrink=0.75)
         bar.ax.locator_params(nbins=4)
     score = values["score_m4prad4"]
@@ -91,9 +93,8 @@ def figure_5(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig6", "Figure 6: reachability of the end-effector")
 def figure_6(sources: Sources) -> drawing.Drawing:
-    """The mean number of inverse kinematics solutions first increases and then decreases with the
-    distance from the arm's mount. A parabola with A = 525.9 /m², B = 0.575 m and C = 100
-    approximates the scaled number.
+    """The scaled mean number of inverse kinematics solutions first increases, then decreases with
+    the distance from the mount. A parabola with A = 525.9 /m², B = 0.575 m and C = 100 fits it.
     """
     fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
     reach_map = maps.sample_reach_map(sources.model, sources.pair.b, **fine)
@@ -232,9 +233,7 @@ def force_at(
 
 
 def turning(sources: Sources) -> Force:
-    """Of the forces in each 20th row of WHEEL_AXIS inside the buffer, the force whose smaller
-    component is largest.
-    """
+    """Of each 20th force of WHEEL_AXIS in the buffer, that whose smaller component is largest."""
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::20]
     return max(

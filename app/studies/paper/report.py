@@ -22,7 +22,7 @@ _DRAWING = 5.0  # [s] simulated time whose computation takes about as long as dr
 
 
 def chosen(names: Iterable[str]) -> list[str]:
-    """The names in the order of the paper, all if `names` is empty; an unknown one is an error."""
+    """The figures' names in the paper's order, all if `names` is empty; raises UnknownNameError."""
     selected = set(names)
     for name in sorted(selected):
         check_name("figure", name, FIGURES)
@@ -42,7 +42,7 @@ def work(names: Sequence[str]) -> float:
 
 
 def reproduce(
-    names: Sequence[str], out: Path, seed: int, processes: int, on_progress: Callable[[float], None]
+    names: list[str], out: Path, *, seed: int, processes: int, on_progress: Callable[[float], None]
 ) -> dict[str, Any]:
     """Make figures with their data, judge their claims, write all files into an existing folder.
 

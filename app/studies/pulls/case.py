@@ -38,14 +38,13 @@ COLUMNS = {
     "fault_at": "fault_at_s",
 }
 """The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in
-`LineScenario`. A release or new grasp that does not happen is None. `fault_at_s` is a time."""
+`LineScenario`. Without a release or new grasp, its time is None. `fault_at_s` is a time."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
 _NOT_STORED = {
     *("scenario", "controller", "robot", "seed", "duration_s", "physics"),  # equal to the inputs
     *("stuck", "left_way"),  # no numbers
     *TIMES,
 }
-
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
 more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
@@ -83,9 +82,10 @@ class Start(NamedTuple):
 def load_sources(robot: str) -> StudySources:
     """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`.
 
-    `near` and `far` are the quantiles 2 % and 98 % over those of 4000 random postures in which the
-    end-effector points outwards, with a sideways component below 0.5, and at most 15° upwards, as
-    the start solver requires. Without such a posture they are 0 and infinite.
+    `near` and `far` are the quantiles 2 % and 98 % of the end-effector's distance from the shoulder
+    in random postures. Only postures count in which the end-effector points outwards, with a
+    sideways component below 0.5, and at most 15° upwards, as the start solver requires. If none of
+    4000 postures counts, `near` is 0 and `far` is infinite.
     """
     model = RobotModel(load_robot(robot))
     body, data = MobileBody(model), load_border_data(model, progress=False)
@@ -109,10 +109,9 @@ def load_sources(robot: str) -> StudySources:
 def draw_start(
     sources: StudySources, heights: Interval, rng: np.random.Generator
 ) -> tuple[Start, Array, int]:
-    """Draw a start in a range of heights [m], where the arm has every pair outside its buffer.
-
-    This returns the start, the arm's joint positions (n_m,) and the number of rejected starts. If
-    the arm reaches none of the drawn starts, it raises a StudyError.
+    """Draw a start in a range of heights [m]; every pair is outside its buffer there. This returns
+    the start, the arm's joint positions (n_m,) there, and the number of rejected starts. If the arm
+    reaches none of 600 drawn starts, this raises a StudyError.
     """
     d_b = sources.model.description.config.border.d_b
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
@@ -202,9 +201,9 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 def _draw_pull(
     start: Start, speed: float, longest: float, rng: np.random.Generator
 ) -> tuple[Array, bool, float, float]:
-    """Draw a pull: its displacement (3,) [m], whether it is along the base, the duration [s] of the
-    run, at most `longest`, and the pull's share of the run. `speed` [m/s] is the largest speed of
-    the hand.
+    """Draw a pull from a start; `speed` [m/s] is the largest speed of the hand. This returns the
+    displacement (3,) [m], whether the pull is along the base, the duration [s] of pull and rest, at
+    most `longest`, and the pull's share [-] of the duration.
     """
     length, along = rng.uniform(*_LENGTH), rng.random() < 0.15
     across, turn = rng.standard_normal(3), rng.uniform(0, math.radians(45.0))
@@ -250,16 +249,11 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     except AssetError:
         raise
     except (DbbError, ValueError, ArithmeticError) as error:
-        return stopped(drawn, f"{type(error).__name__}: {error}")
+        return {**drawn, "nan": False, "error": f"{type(error).__name__}: {error}"}
     results = flat(result.figures)
     bad = {key for key, x in results.items() if isinstance(x, float) and not math.isfinite(x)}
     stored = {key: None if key in bad else rounded(x) for key, x in results.items()}
     return {**drawn, **stored, "nan": bool(bad) or not result.trace.finite, "error": None}
-
-
-def stopped(drawn: Row, reason: str) -> Row:
-    """The row of a case whose run stopped with an error."""
-    return {**drawn, "nan": False, "error": reason}
 
 
 def met_base(row: Row) -> bool:
@@ -272,15 +266,13 @@ def met_itself(row: Row) -> bool:
     return _met(row, "arm_")
 
 
-def _met(row: Row, of: str) -> bool:
-    distance = row.get(f"{of}min_clearance_m")
-    return bool(row.get(f"{of}contacts")) or (distance is not None and distance <= 0.0)
+def _met(row: Row, prefix: str) -> bool:
+    distance = row.get(f"{prefix}min_clearance_m")
+    return bool(row.get(f"{prefix}contacts")) or (distance is not None and distance <= 0.0)
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded 1.05 times its speed limit at a time when no torque was at its limit
-    or had been there in the last 0.1 s.
-    """
+    """Whether a joint exceeded 1.05 of its speed limit, with no torque at its limit for 0.1 s."""
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > 1.05
 
 
@@ -297,5 +289,5 @@ def failed(row: Row) -> bool:
 
 
 def flat(results: Mapping[str, Any]) -> Row:
-    """The stored results of a run by the columns of a study's table."""
+    """The results of a run that a study stores, by the columns of its table."""
     return flattened({key: value for key, value in results.items() if key not in _NOT_STORED})

@@ -18,7 +18,7 @@ from app.studies.runs import Row
 
 STATED = Path(__file__).with_name("envelope.toml")  # the envelope that the project states
 MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a case against it
-FORCE = "hand_force_clear_max_n"  # largest force until two bodies were first nearer than `NEAR`
+FORCE = "hand_force_clear_max_n"  # largest force until any two bodies were nearer than `NEAR`
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
 
@@ -43,7 +43,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             raise StudyError(f"{STATED}: the envelope cannot be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """Limit ranges to the envelope, `hand_f_max` to F*; a range outside raises a StudyError."""
+        """Ranges limited to the envelope, `hand_f_max` to F*; StudyError if a range is outside."""
         found = {}
         for name, (lower, upper) in (self._intervals() | {"hand_f_max": (0.0, self.force)}).items():
             low, high = getattr(ranges, name)
@@ -78,7 +78,8 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
     the smallest force of a bad case or, if this is smaller, the largest force of the other cases;
     F* is rounded down to 1 N. Without other cases, F* is 0.
     """
-    good, bad = list[float](), list[float]()
+    good: list[float] = []
+    bad: list[float] = []
     for row in rows:
         (bad if failed(row) or entered_buffer(row, NEAR) else good).append(exerted(row))
     safe = min(MARGIN * min(bad, default=math.inf), max(good, default=0.0))
@@ -89,12 +90,12 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
 def tally(rows: Sequence[Row]) -> dict[str, Any]:
     """Number of cases, number of failed cases, and the upper 95 % bound of the share that fails."""
     failures = sum(map(failed, rows))
-    cases = len(rows)
-    return {"cases": cases, "failed": failures, "rate_bound_95": rate_bound(failures, cases)}
+    bound = rate_bound(failures, len(rows))
+    return {"cases": len(rows), "failed": failures, "rate_bound_95": bound}
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of the even cases inside an envelope fitted to the odd cases, and vice versa."""
+    """The tally of all cases inside an envelope that is fitted to the other half (even or odd)."""
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
     for fitted, others in (halves, halves[::-1]):

@@ -24,7 +24,6 @@ FAULTS = {
     "stated_period": "period",
 }
 """The faults of a case, each with the name of the controller's report in `readings.FAULTS`."""
-
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
     "encoder_noise": "disturbance.encoder_noise",
@@ -47,7 +46,7 @@ class StudyRange(Strict):
 
     The distribution in an interval is uniform, for `LOGARITHMIC` on a logarithmic scale. `height`
     only bounds the random starts. A single number is a probability or, for `duration`, a limit.
-    Annotations have the range and unit of the quantities that are not in `PARAMETERS`.
+    The annotation of a quantity that is not in `PARAMETERS` has its valid range and its unit.
     """
 
     speed: Annotated[Interval, (0.01, 1.5, "m/s")] = (0.1, 1.2)
@@ -100,7 +99,7 @@ class StudyRange(Strict):
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
-        """Raise a `ConfigError` that names the option of `dbb study` and its valid values."""
+        """Raise a `ConfigError` for an invalid value; it names the option of `dbb study`."""
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
             if name in PARAMETERS:

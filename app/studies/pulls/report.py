@@ -25,15 +25,9 @@ from app.studies.style import INK, SOFT, TARGET, new_panels, picture, pictures_i
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] limits of intervals
 _DISTRIBUTED = (
-    "hand_force_max_n",
-    "hand_force_clear_max_n",
-    "hand_speed_max_mps",
-    "joint_speed_share_max",
-    "joint_speed_share_unsaturated_max",
-    "base_path_after_release_m",
-    "min_clearance_m",
-    "arm_min_clearance_m",
-    "ee_error_final_m",
+    *("hand_force_max_n", "hand_force_clear_max_n", "hand_speed_max_mps"),
+    *("joint_speed_share_max", "joint_speed_share_unsaturated_max", "base_path_after_release_m"),
+    *("min_clearance_m", "arm_min_clearance_m", "ee_error_final_m"),
 )
 """Results whose quantiles are in the summary."""
 _QUANTILES = (0.0, 0.01, 0.05, 0.5, 0.95, 1.0)
@@ -85,15 +79,15 @@ _COLUMNS = {
 _LARGEST = 0.3  # [m] end of the axes of distance
 _ERRORS = 1e-5, 1.0  # [m] ends of the axes of errors
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
-_MARKS = {
-    "arm met base": ("x", 44, TARGET),
-    "arm met itself": ("+", 54, "#882E72"),
-    "fallback command, NaN or error": ("^", 34, "#D55E00"),
+_MARKS: dict[str, tuple[Callable[[Row], bool], dict[str, Any]]] = {
+    "arm met base": (met_base, {"marker": "x", "s": 44, "c": TARGET}),
+    "arm met itself": (met_itself, {"marker": "+", "s": 54, "c": "#882E72"}),
+    "fallback command, NaN or error": (failed, {"marker": "^", "s": 34, "c": "#D55E00"}),
 }
-"""Marker, size and colour of failed cases, by the first reason that applies to a case."""
+"""Marker of failed cases, by the first reason of which the rule applies to a case."""
 
 
-def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[Row, Envelope]:
+def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[dict, Envelope]:
     """The summary of at least one row for `study.json`, and the fitted envelope; `d_b` is in m."""
     stated, fitted = Envelope.stated(), fit.fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
@@ -133,9 +127,9 @@ def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[Row
 
 
 def _reported(rows: Rows, name: str) -> dict[str, int]:
-    """Count the cases with a fault, with a report of it, and with a report at most 0.2 s later. A
-    fault begins at the control step nearest to `fault_at_s`, `stated_period` at 0. Earlier reports
-    do not count.
+    """Count the cases with a fault, those with a report of it, and those with a report at most
+    0.2 s after its beginning. A fault begins at the control step nearest to `fault_at_s`,
+    `stated_period` at 0. Earlier reports do not count.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -151,9 +145,12 @@ def _reported(rows: Rows, name: str) -> dict[str, int]:
 def _of_force(rows: Rows, low: float, high: float, events: Events) -> dict[str, Any]:
     """Results of the cases whose force (`exerted`) is at least `low` and below `high` [N]."""
     here = [row for row in rows if low <= exerted(row) < high]
-    results = {"from_n": low, "to_n": high if math.isfinite(high) else None}
-    results |= _counts_and_distance(here, events)
-    return {**results, "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None)}
+    return {
+        "from_n": low,
+        "to_n": high if math.isfinite(high) else None,
+        **_counts_and_distance(here, events),
+        "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None),
+    }
 
 
 def _counts_and_distance(rows: Rows, events: Events) -> dict[str, Any]:
@@ -198,10 +195,10 @@ def draw_envelope(rows: Rows, envelope: Envelope, _: float) -> Figure:
     points = scatter(good, **colours, **look, zorder=4)
     text = "smallest distance, arm to base [m]"
     figure.colorbar(points, ax=axes, extend="max", pad=0.01, label=text)
-    flaws = [0 if met_base(row) else 1 if met_itself(row) else 2 for row in known]
-    for k, (name, (marker, size, colour)) in enumerate(_MARKS.items()):
-        bad = [row for row, flaw in zip(known, flaws, strict=True) if flaw == k and failed(row)]
-        scatter(bad, zorder=5, label=name, marker=marker, s=size, c=colour)
+    bad = [row for row in known if failed(row)]
+    for name, (rule, marker) in _MARKS.items():
+        scatter([row for row in bad if rule(row)], zorder=5, label=name, **marker)
+        bad = [row for row in bad if not rule(row)]
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set(xlabel="speed of the person's hand [m/s]", xlim=(low - 0.02, high + 0.02))
     axes.set_ylabel("largest force before a distance of 10 mm [N]")
@@ -271,7 +268,11 @@ PICTURES = pictures_in(globals())
 
 
 def report_html(
-    rows: Rows, parameters: StudyParameters, summary: Row, envelope: Envelope, pngs: Mapping
+    rows: Rows,
+    parameters: StudyParameters,
+    summary: dict,
+    envelope: Envelope,
+    pngs: dict[str, bytes],
 ) -> str:
     """The HTML of the report, with the results of `summary_of` and a PNG for each of `PICTURES`."""
     drawn = ((name.replace("_", " "), v) for name, v in parameters.ranges if isinstance(v, tuple))
@@ -306,6 +307,10 @@ def report_html(
 def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
     """The results of the cases as a text, and as a table by the exerted force."""
     s, halves = summary, summary["envelope"]["inside_by_halves"]
+    force, speed, distance = (
+        {quantile: number_text(value) for quantile, value in (s[key] or {}).items()}
+        for key in ("hand_force_max_n", "hand_speed_max_mps", "min_clearance_m")
+    )
     lines = [
         f"{s['failed']} of {s['cases']} cases failed. In {s['contact']} runs the arm touched the "
         f"base in the plant. In {s['bodies_overlap']} runs it touched the base, or the convex "
@@ -314,18 +319,18 @@ def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
         f"convex bodies met. {s['solver_failure']} runs had steps with the fallback command, "
         f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error."
     ]
-    quantiles = [s[k] for k in ("hand_force_max_n", "hand_speed_max_mps", "min_clearance_m")]
-    if all(quantiles):
-        force, speed, distance = ({k: number_text(v) for k, v in q.items()} for q in quantiles)
-        lines += [
+    if force:
+        lines.append(
             f"The largest force of the person in a run was {force['0_%']} to {force['100_%']} N "
             f"(median {force['50_%']} N). The largest speed of the end-effector was "
             f"{speed['100_%']} m/s. In {_percent(s['entered_buffer_share'])} of the runs the arm "
-            "entered the buffer of the base.",
+            "entered the buffer of the base."
+        )
+    if distance:
+        lines.append(
             f"The smallest distance between arm and base was {distance['0_%']} m. It was at least "
-            f"{distance['50_%']} m in half of the runs, and at least {distance['5_%']} m in 95 of "
-            "100 runs.",
-        ]
+            f"{distance['50_%']} m in half of the runs, and {distance['5_%']} m in 95 % of them."
+        )
     lines.append(
         f"Of {halves['cases']} cases inside an envelope that was fitted to other cases, "
         f"{halves['failed']} failed: the failure rate is below "
@@ -365,9 +370,8 @@ def _failures(rows: Rows) -> Part:
     body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:200]]
     more = f" The table has {len(body)} of {len(bad)} failures." if len(bad) > len(body) else ""
     text = (
-        f"The failures with the smallest forces are first.{more} "
-        "`dbb run --case failures/case-NNNNN.json` repeats a case; `dbb serve --case` with the "
-        "same file shows it in the dashboard."
+        f"The failures with the smallest forces are first.{more} `dbb run --case FILE` with a file "
+        "of the folder `failures` repeats a case; `dbb serve --case FILE` shows it."
     )
     return Part("Failures", text=[text], tables=[Grid([*_COLUMNS.values()], body, numbers=True)])
 

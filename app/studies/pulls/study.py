@@ -91,7 +91,7 @@ def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
     """The row of a case whose process has ended in each attempt."""
     drawn = case.draw_case(parameters, number, case.load_sources(parameters.robot))
-    return case.stopped(drawn, "the process was killed in each attempt")
+    return {**drawn, "nan": False, "error": "the process was killed in each attempt"}
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -136,22 +136,18 @@ class Journal(AbstractContextManager["Journal"]):
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open or start the journal of the study with this identity in an existing folder.
-
-        If the folder has another study or damaged data, or is in use, this raises a StudyError.
+        """Open or start the journal of the study with this identity in an existing folder; raises a
+        StudyError if the folder has another study or damaged data, or is in use.
         """
         self.rows: dict[int, Row] = {}  # by the number of the case
         self._file = (folder / _LINES).open("a+b")
         with ExitStack() as stack:
             stack.enter_context(self._file)  # closes it after an error
             if claim(self._file) is False:
-                raise StudyError(
-                    f"--out: another dbb study uses {folder}; wait until it ends, or choose "
-                    "another folder"
-                )
+                raise StudyError(f"--out: another dbb study uses {folder}; wait, or choose another")
             _check_identity(folder, identity)
             self._read(folder / _LINES)
-            stack.pop_all()
+            stack.pop_all()  # no error: the file stays open
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
@@ -216,10 +212,10 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
 
 
 def _client(scheduler: str) -> Any:
-    """Connect to the dask scheduler at an address, such as `tls://10.0.0.7:8786`.
+    """A dask client of the scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-    If it does not answer, or if not all of its workers have the code of this process, this raises a
-    StudyError. The certificates for `tls://` addresses come from dask's configuration.
+    If no scheduler answers, it has no workers, or a worker has other code than this process, this
+    raises a StudyError. The certificates for `tls://` addresses come from dask's configuration.
     """
     # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client
@@ -235,7 +231,7 @@ def _client(scheduler: str) -> Any:
             "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
         ) from None
     with ExitStack() as stack:
-        stack.callback(client.close)  # after an error
+        stack.callback(client.close)  # closes it after an error
         with suppress(TimeoutError):
             client.wait_for_workers(1, timeout=30.0)
         try:
@@ -246,11 +242,11 @@ def _client(scheduler: str) -> Any:
             raise StudyError(
                 f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
             )
-        if strange := [name for name, digest in digests.items() if digest != code_digest()]:
-            raise StudyError(
-                f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
-            )
-        stack.pop_all()
+        strange = [worker for worker, digest in digests.items() if digest != code_digest()]
+        if strange:
+            names = ", ".join(strange)
+            raise StudyError(f"--scheduler: {names} of {scheduler} runs code of another version")
+        stack.pop_all()  # no error: the client stays connected
     return client
 
 
@@ -258,7 +254,8 @@ def _map(
     client: Any, make_context: Task, function: Task, jobs: Sequence[int], *, lost: Task
 ) -> Iterator[Row]:
     """As `Workers.map`, but yields the results in the order in which the jobs end. Each job calls
-    `make_context`, which caches the data that the jobs share.
+    `make_context`, which has to cache the data that the jobs share. `lost` makes the result of a
+    job whose worker ended in each attempt.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker

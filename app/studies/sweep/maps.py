@@ -37,7 +37,7 @@ class Quantity(NamedTuple):
     key: str  # key in the rows of paths
     title: str
     scale: Normalize  # of the values [m or s]
-    limit: float  # [m or s] boundary of good values; infinite if all values are good
+    limit: float  # [m or s] the worst good value; infinite if all values are good
     marks: tuple[tuple[float, str], ...]  # values that are drawn as circles, with their texts
     more_is_better: bool = False
 
@@ -46,12 +46,12 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan of the end of a bar; at least the limit's, if larger is better."""
+        """[m] radius in plan of a bar's end; if larger values are better, at least the limit's."""
         shown = max(value, self.limit) if self.more_is_better else value
         return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
     def colour(self, value: float) -> tuple[float, float, float, float]:
-        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit."""
+        """Colour of a value: blue if good, yellow to red if bad; darker farther from the limit."""
         at, limit = self.share(value), self.share(self.limit)
         good = value >= self.limit if self.more_is_better else value <= self.limit
         width = limit if good is not self.more_is_better else 1.0 - limit
@@ -60,10 +60,9 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance and time; an overlap counts as a distance of 0.
+    """Final error, smallest distance and time for rows of paths; an overlap counts as distance 0.
 
-    The scale of the distance ends at the largest distance at a start, and that of the time at the
-    longest time, both rounded up.
+    The last two scales end at the largest distance at a start, and the longest time, rounded up.
     """
     known = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(known, default=5.0) / 5.0)
@@ -72,18 +71,16 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
     gaps = tuple((gap, f"{gap:.3g} m") for gap in (CLEARANCE_LIMIT, widest / 2, widest))
     times = (longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")
     log, root = LogNorm(1e-6, 0.3, clip=True), PowerNorm(0.5, 0.0, widest, clip=True)
-    linear = Normalize(0.0, longest, clip=True)
+    linear, title = Normalize(0.0, longest, clip=True), "smallest distance to the base"
     return (
         Quantity("ee_error_final_m", "final error of the end-effector", log, ERROR_LIMIT, errors),
-        Quantity(
-            "min_clearance_m", "smallest distance to the base", root, CLEARANCE_LIMIT, gaps, True
-        ),
+        Quantity("min_clearance_m", title, root, CLEARANCE_LIMIT, gaps, more_is_better=True),
         Quantity("time_s", "time until the error is within 1 mm", linear, math.inf, times),
     )
 
 
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
-    """Draw the horizontal paths of a sweep at a height [m] and a speed [m/s], by direction."""
+    """Draw the horizontal paths at one height [m] and speed [m/s] by direction, in `_panels`."""
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
         for key in ("paths", "wheel_axis")
@@ -122,7 +119,7 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths down onto the base at one speed [m/s], each as a square in plan."""
+    """Draw the paths down onto the base at one speed [m/s] as squares in plan, in `_panels`."""
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
     columns = ([row[key] for row in [*rows, *no_start]] for key in ("place_x_m", "place_y_m"))
@@ -156,8 +153,10 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
 def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, Quantity, list[Row]]]]:
-    """Make panels of the height `panel` [in], each with a quantity and the rows of a controller.
-    Each controller has a column of panels; a single controller has a row.
+    """Make panels of the height `panel` [in], each for one of `quantities` and one controller.
+
+    Each controller has a column of panels; a single controller has a row. The result has the axes,
+    the quantity and the controller's rows of each panel.
     """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
@@ -239,6 +238,6 @@ def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
 
 
 def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
-    """If a path had a contact, draw a cross at a place in the coordinates of the axes."""
+    """If the arm touched the base or itself, draw a cross at a place in the axes' coordinates."""
     if row.get("contacts") or row.get("arm_contacts"):
         ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)

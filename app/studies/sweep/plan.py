@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 Mode = Literal["tracking", "guiding"]
 Kind = Literal["side", "wheel_axis", "above"]
-
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b, the arm's point nearest to the base, at starts of paths along the wheel axis."""
 ERROR_LIMIT = 0.001  # [m] largest final error of a successful path
@@ -80,7 +79,9 @@ def point_of(p: Array) -> Point:
 
 
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance along a unit vector from a point p in a box to the box's surface, 2D or 3D."""
+    """[m] distance from a point p [m] in a box to the surface of the box, along a unit vector. All
+    arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
+    """
     with np.errstate(divide="ignore", over="ignore"):
         distances = np.where(direction > 0.0, upper - p, lower - p) / direction
     return float(np.min(np.where(direction == 0.0, np.inf, distances)))
@@ -88,7 +89,7 @@ def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> flo
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep, and the conditions of the runs; annotations have ranges and units."""
+    """The paths and runs of a sweep; a field's annotation has its valid range and its unit."""
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
@@ -147,20 +148,22 @@ class SweepPlan:
         return usual if self.start_distance is None else self.start_distance
 
     def approaches(self, model: RobotModel) -> list[Approach]:
-        """All paths; each is for all speeds and controllers."""
+        """All paths; the runs along each path have all speeds and controllers."""
         from app.border.mobile import MobileBody
 
         directions, body = range(round(360.0 / self.step)), MobileBody(model)
         found = [Approach("side", h, k * self.step) for h, k in product(self.heights, directions)]
         if self.wheel_axis:
-            each = product(self.heights, (90.0, 270.0), AXIS_OFFSETS)
-            found += [Approach("wheel_axis", *numbers) for numbers in each]
+            for height, direction, x in product(self.heights, (90.0, 270.0), AXIS_OFFSETS):
+                found.append(Approach("wheel_axis", height, direction, offset=x))
         if self.above:
             lower, upper = body.lower[:2], body.upper[:2]
             parts = np.ceil((upper - lower) / self.above_spacing - 1e-9).astype(int)
-            sides = zip(lower, upper, np.maximum(parts, 1) + 1, strict=True)
-            grid = product(*(np.linspace(*side).tolist() for side in sides))
-            found += [Approach("above", place=(round(x, 6), round(y, 6))) for x, y in grid]
+            xs, ys = (
+                [round(x, 6) for x in np.linspace(low, high, max(count, 1) + 1).tolist()]
+                for low, high, count in zip(lower, upper, parts, strict=True)
+            )
+            found += [Approach("above", place=place) for place in product(xs, ys)]
         return found
 
     def trials(self, starts: list[Start]) -> Iterator[tuple[Start, str, float]]:
@@ -181,11 +184,11 @@ class SweepPlan:
 
 
 class Start(NamedTuple):
-    """The start of a path; without a start only `approach` and `reason` have a meaning."""
+    """The start of a path. If the path has none, only `approach` and `reason` have a meaning."""
 
     approach: Approach
     q_m: tuple[float, ...] = ()  # (n_m,) [rad or m] joint positions of the arm
     p_ee: Point = (0.0, 0.0, 0.0)  # (3,) [m] the end-effector's origin; the base is at the origin
     p_b: Point = (0.0, 0.0, 0.0)  # (3,) [m] the arm's closest point to the base
-    clearance: float = 0.0  # [m] distance of the closest point from the base
+    clearance: float = 0.0  # [m] distance of p_b from the base
     reason: str = ""  # the reason why there is no start; empty if there is one

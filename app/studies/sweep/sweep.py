@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from copy import copy
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby, islice, product, tee
@@ -45,36 +44,20 @@ _START_SHARE = 0.25  # [-] estimated share of the search for starts in the whole
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """The key in `sweep.json` for the paths of each kind."""
 _RESULTS = (
-    "ee_error_final_m",
-    "ee_error_max_m",
-    "min_clearance_m",
-    "arm_min_clearance_m",
-    "contacts",
-    "arm_contacts",
-    "floor_contacts",
-    "base_displacement_m",
-    "base_yaw_rad",
-    "activation_max",
-    "solver_failures",
+    *("ee_error_final_m", "ee_error_max_m", "min_clearance_m", "arm_min_clearance_m"),
+    *("contacts", "arm_contacts", "floor_contacts"),
+    *("base_displacement_m", "base_yaw_rad", "activation_max", "solver_failures"),
 )
 """Results of a run that are in `sweep.json`."""
 _FIRST = (
-    "kind",
-    "controller",
-    "height_m",
-    "speed_mps",
-    "direction_deg",
-    "offset_m",
-    "place_x_m",
-    "place_y_m",
-    "passed",
+    *("kind", "controller", "height_m", "speed_mps", "direction_deg"),
+    *("offset_m", "place_x_m", "place_y_m", "passed"),
 )
 """First columns of `sweep.csv`."""
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
 """[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
 _SEARCHES = ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
-"""[deg] horizontal angle of the end-effector from the outward direction, and a number that is added
-to the seed; preferred first."""
+"""[deg] horizontal angle of the end-effector from outwards, addition to the seed; in this order."""
 
 
 class StartFinder:
@@ -88,9 +71,9 @@ class StartFinder:
         self._state = RobotState(model)
         self._monitor = DistanceMonitor(self._state, data.pairs.mobile)
         self._body = MobileBody(model)
-        self._flaws: Counter[str] = Counter()  # failed tries of the last search, by the reason
-        # Paths that differ only in `offset` share the postures; a copy of `tee` begins anew.
-        self._postures = lru_cache(maxsize=1)(lambda *path: tee(self._search(*path), 1)[0])
+        self._searched: tuple[Approach, int] | None = None  # arguments of the last search
+        self._found: Iterator[tuple[Array, Array]] = iter(())  # its results
+        self._flaws: Counter[str] = Counter()  # its failed tries, by the reason
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
         """Find the start of a path, or the three most frequent reasons why there is none.
@@ -98,8 +81,11 @@ class StartFinder:
         If the arm cannot reach the desired `distance` [m] from the base on the path's line, the
         start has the distance at which the search ended. At most six postures are tried.
         """
+        search = replace(approach, offset=0.0), seed
+        if search != self._searched:  # paths that differ only in `offset` share the postures
+            self._searched, self._found = search, self._search(*search)
+        self._found, postures = tee(self._found)  # stores the found postures for the next path
         refused: Counter[str] = Counter()
-        postures = copy(self._postures(replace(approach, offset=0.0), seed))
         for posture in islice(postures, 6):
             try:
                 p_ee, q_m = self._slide_to_distance(approach, *posture, distance)
@@ -116,7 +102,7 @@ class StartFinder:
         return Start(approach, reason="; ".join(reasons))
 
     def _search(self, approach: Approach, seed: int) -> Iterator[tuple[Array, Array]]:
-        """Yield positions (3,) [m] of the end-effector, and postures (n_m,) outside all buffers."""
+        """Yield the end-effector's positions (3,) [m] and postures (n_m,) outside all buffers."""
         places = [self._place(approach, gap) for gap in _GAPS]
         reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
         missed = len(places) - len(reached)
@@ -140,7 +126,7 @@ class StartFinder:
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move end-effector (3,) [m] and joints (n_m,) towards the desired distance [m]."""
+        """Move end-effector (3,) [m] and joints (n_m,) as near to a distance [m] as possible."""
         excess = self._closest(q_m).d - distance
         step, moved, small = np.sign(excess) * 0.02, 0.0, 1e-4  # [m]; `small` is the tolerance
         while abs(excess) > small and abs(step) > small / 8 and moved <= 0.25:  # [m]
@@ -155,9 +141,10 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Joint positions (n_m,) at which x of p_b, the arm's closest point, is `x` [m].
-        The search starts at `q_m`, with the end-effector at `p_ee` (3,) [m]; without success it
-        raises an UnreachableError.
+        """Joint positions (n_m,) at which p_b, the arm's point nearest to the base, has this x [m].
+
+        The search starts at `q_m`, with the end-effector at `p_ee` (3,) [m]. If it fails, it raises
+        an UnreachableError.
         """
         smallest = np.inf
         for _ in range(40):
@@ -173,9 +160,7 @@ class StartFinder:
                 joint = self._state.model.body_joints[closest.pair.b]
                 row = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
                 q_m = q_m - row * error / (row @ row)
-        raise UnreachableError(
-            f"x of the arm's closest point p_b differs by at least {smallest:.1e} m"
-        )
+        raise UnreachableError(f"x of the arm's closest point differs by {smallest:.1e} m or more")
 
     def _closest(self, q_m: Array) -> ClosestPoints:
         """Closest points of the nearest pair with the base; the state then has the posture q_m."""
