@@ -79,7 +79,7 @@ class Page(Viewer):
         return self.explorer_panel.shown(newest := self.shared.loop.latest(), newest)
 
     def draw(self, *, texts: bool) -> None:
-        """Draw the snapshot that the viewer sees; update panels, plots, labels only if `texts`."""
+        """Draw the snapshot that the viewer sees; with `texts`, also panels, plots and labels."""
         newest, shown = self.shared.loop.latest(), self.timeline.shown()
         if not newest.follows(self._newest) and self.grip.holds_anything:
             self.grip.release()  # the simulation has restarted and has dropped all pulls
@@ -214,7 +214,7 @@ class Page(Viewer):
 
 
 def hung_html(silence: float) -> str:
-    """Return an error message if the simulation is silent for at least `PATIENCE` [s], or ""."""
+    """Return an error message as HTML if `silence` [s] is at least `PATIENCE`, otherwise ""."""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."
     return banner("error", "The simulation does not respond", text) if silence >= PATIENCE else ""
 

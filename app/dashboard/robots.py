@@ -88,10 +88,9 @@ class RobotSwitch(Job):
         self._taken = threading.Event()
         self._loop: LoopHandle | None = None
 
-    def look(self) -> list[RobotEntry]:
-        """Search for all robots, and return them; this reads the files of each robot."""
+    def look(self) -> None:
+        """Renew `entries`; this reads the files of each robot."""
         self.entries = robot_entries()
-        return self.entries
 
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
@@ -128,7 +127,7 @@ class RobotSwitch(Job):
         self._taken.set()
 
     def close(self) -> None:
-        """Cancel the running switch, and stop the last simulation that was started here."""
+        """Cancel the running switch, and stop the last simulation that a switch has started."""
         self._taken.set()
         super().close()
         if self._loop is not None:

@@ -39,9 +39,9 @@ def take_pictures(
 ) -> list[Image.Image]:
     """Return a picture for each of `times` [s]: of the last snapshot at or before this time.
 
-    `clouds` has P_i of each pair of L_m, by the pair's name. Pictures of the scene have one common
-    viewpoint; if `look.page`, each picture has its own viewpoint. Raises `BrowserError` if the
-    browser's page does not connect, and `AssetError` as `RobotParts`.
+    `clouds` has P_i of each pair of L_m, by the pair's name. All pictures have the same viewpoint,
+    but if `look.page`, each has its own. Raises `BrowserError` if the browser's page does not
+    connect, and `AssetError` as `RobotParts`.
     """
     loop = RecordedLoop(snapshots)
     with ExitStack() as stack:
@@ -99,7 +99,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
-    """Return a picture after all messages are drawn, once it stays unchanged; at most 12 trials."""
+    """Return the page's picture with all messages, once two are equal, or the twelfth picture."""
     n, ready = next(_numbers), "([name, n]) => dbbPage.arrived(name) === n"
     offscreen.send_barrier(server, n)
     values, timeout = [offscreen.BARRIER, n], 1000 * offscreen.TIMEOUT

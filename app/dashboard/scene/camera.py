@@ -28,7 +28,7 @@ _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the pic
 
 
 class Window(NamedTuple):
-    """The area of a page that shows the scene; cards and drawers can cover its ends."""
+    """The area of a page that shows the scene; cards and drawers can cover its top and bottom."""
 
     aspect: float = 1.5  # [-] ratio of width to height
     covered: float = 0.0  # [-] share of the height that is covered from below
@@ -38,7 +38,7 @@ class Window(NamedTuple):
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> "Window":
         """Return a window from sizes [px] and covered shares [-] of a page, within limits.
 
-        Impossible values, such as the sizes 0 of a new page, give the default window.
+        Impossible values, such as the size 0 of a new page, give the default window.
         """
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return cls()
@@ -52,7 +52,7 @@ class Window(NamedTuple):
 
 
 class Preset(NamedTuple):
-    """A view; `away` is in the base's frame, or in the closed door's frame for a door."""
+    """A view; `away` is in the base's frame, or in a closed door's frame for the target "door"."""
 
     away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
@@ -75,9 +75,8 @@ PRESETS = {  # by name
 class Camera:
     """Moves the camera of one client.
 
-    The browser reports each new position after a delay, together with the viewer's own changes.
-    Therefore the program moves the camera again only after the browser has confirmed the last
-    position; otherwise the viewer's change would be lost.
+    The browser reports each new position after a delay, together with the viewer's own changes. So
+    that no change is lost, the camera moves again only after the browser's report.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -123,7 +122,7 @@ class Camera:
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
-        """Look at the robot of a snapshot from the preset of a `name`, a key of `PRESETS`."""
+        """Look at the robot of a snapshot from the preset `name`, a key of `PRESETS`."""
         camera, self._fitted, self._preset = self._client.camera, self.window, name
         eye, target = placed(PRESETS[name], [snapshot], self.extent, self._fitted)
         if self._set is None:
@@ -143,10 +142,9 @@ class Camera:
         return self._preset if self._waits() or away < 0.02 else ""  # [m]
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the wanted preset, if any; fit the last preset again if the window has changed.
+        """Use the preset `wanted`, if any; fit the last preset again if the window has changed.
 
-        The panels narrow the scene only after the first picture, and a drawer opens later. The
-        camera is not fitted during a pull (`busy`), or if the viewer has moved the camera.
+        The camera is not fitted during a pull (`busy`), or after the viewer has moved the camera.
         """
         wanted, self.wanted = self.wanted, ""
         if wanted:
@@ -179,11 +177,11 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        Without a pull (`busy`), this happens (a) if the robot was not in sight since the start of a
-        run, (b) if the camera follows (`on`) and the base has moved by more than `_MOVED` out of
-        sight, and (c) if the camera follows, still has a preset of the whole robot or of the pair,
-        and does not show the end-effector of the robot or of a near ghost. Also during a pull, the
-        start of a run with a door selects the preset "door", and without a door "iso" replaces it.
+        A run with a door starts with the preset "door"; a run without a door replaces it by "iso".
+        Then, without a pull (`busy`), the last preset is used if the robot was not in sight since
+        the start of the run. It is also used if the camera follows (`on`), and either the base has
+        moved by more than `_MOVED` out of sight, or the preset still shows the whole robot or the
+        pair, but not the end-effector of the robot or of a near ghost.
         """
         before, self._before = self._before or snapshot, snapshot
         begun = not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)
@@ -240,7 +238,7 @@ def placed(
     """Return eye and target (3,) [m] of a preset in the world.
 
     The picture shows the target `Preset.of` in all snapshots, at least one. The direction is
-    relative to the base in the middle snapshot, or to the closed door for the preset "door".
+    relative to the base in the middle snapshot, or to the closed door if the target is "door".
     `extent` has points (N, 3) [m] of the robot in its ready posture, in the base's frame.
     """
     about = shown[len(shown) // 2]

@@ -24,13 +24,22 @@ class BaseMeasure(NamedTuple):
 
 
 def measure_of(kind: str) -> BaseMeasure:
-    """Return the words for a kind of base."""
+    """Return the words for the base's factor in the score, for the kind `base.kind`."""
     if kind != "differential":
-        hint = "how well the base moves the point; replaces (7)"
-        return BaseMeasure("Mobility of the base", "", "measure of the base", hint, "measure · R")
-    title = "Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)"
-    hint = "(7): 0 on the wheel axis, where the base cannot move the point sideways"
-    return BaseMeasure(title, "m⁴/rad⁴", "mobility det(J Jᵀ)", hint, "sign · det · R")
+        return BaseMeasure(
+            title="Mobility of the base",
+            unit="",
+            label="measure of the base",
+            hint="how well the base moves the point; replaces (7)",
+            score="measure · R",
+        )
+    return BaseMeasure(
+        title="Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)",
+        unit="m⁴/rad⁴",
+        label="mobility det(J Jᵀ)",
+        hint="(7): 0 on the wheel axis, where the base cannot move the point sideways",
+        score="sign · det · R",
+    )
 
 
 class Legend(NamedTuple):
@@ -46,7 +55,7 @@ class Legend(NamedTuple):
 
 
 def title_of(quantity: str, kind: str) -> tuple[str, str]:
-    """Return name (HTML) and unit of a quantity of `QUANTITIES`, for a kind of base."""
+    """Return name (HTML) and unit of one of `QUANTITIES`, for the kind `base.kind`."""
     measure = measure_of(kind)
     return {
         "determinant": (measure.title, measure.unit),
