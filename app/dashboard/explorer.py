@@ -29,10 +29,9 @@ class Explorer:
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
         """Use pairs and parameters of a snapshot; `clouds` has P_i by the names of pairs of L_m."""
-        mobile, manipulator = (
-            tuple(Pair(*pair.name.split("-")) for pair in snapshot.pairs if pair.mobile == kind)
-            for kind in (True, False)
-        )
+        pairs = {Pair(*each.name.split("-")): each.mobile for each in snapshot.pairs}
+        mobile = tuple(pair for pair in pairs if pairs[pair])
+        manipulator = tuple(pair for pair in pairs if not pairs[pair])
         found = LinkPairs(mobile, manipulator, (), {}, {}, samples=0, seed=0)
         data = BorderData(found, dict(clouds), "cache")
         self._model = model

@@ -124,7 +124,7 @@ class Gate:
     def closed(self) -> Iterator[None]:
         """Check all connections of the server that viser starts in this context.
 
-        Raises `ServerError` if viser does not start it by the function `serve` of `websockets`.
+        Raises `ServerError` if viser does not start it by `websockets.asyncio.server.serve`.
         """
         with _lock:
             original, seen = websockets_server.serve, []
@@ -165,16 +165,17 @@ class Gate:
     def _refusal(self, request: Request, method: str) -> Response | None:
         headers = request.headers
         path, _, query = request.path.partition("?")
-        origin, host = headers.get("Origin"), headers.get("Host")
         status, more = HTTPStatus.BAD_REQUEST, ""  # unless a case below replaces them
         if method not in _METHODS:
             status = HTTPStatus.METHOD_NOT_ALLOWED
             why = f"this server does not accept the method {method}; use GET or HEAD"
         elif twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             why = f"the request has the header {twice[0]} more than once"
-        elif not is_allowed(origin, host, self._own_names, self._allowed):
+        elif not is_allowed(
+            headers.get("Origin"), headers.get("Host"), self._own_names, self._allowed
+        ):
             status, why = HTTPStatus.FORBIDDEN, "this page is not allowed to connect to this server"
-            name = re.match(r"[\w.-]+", host or "")
+            name = re.match(r"[\w.-]+", headers.get("Host", ""))
             more = _WAY_OUT.format(name=name[0] if name else "NAME")
         elif headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:

@@ -37,9 +37,8 @@ _PATIENCE = 10.0  # [s] timeout for the end of a thread
 def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector, and return the freed memory to the system.
 
-    Python itself rarely searches old objects, such as a model or a border, for reference cycles. If
-    `frozen`, this search includes the objects that `gc_frozen` has excluded from searches; then all
-    remaining objects are excluded.
+    Python itself rarely searches old objects for reference cycles. If `frozen`, the collector also
+    searches the objects that `gc_frozen` has excluded, and then excludes all remaining objects.
     """
     frozen &= gc.get_freeze_count() > 0
     if frozen:
@@ -72,9 +71,8 @@ class Job:
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
         """Start the job `title`: run `work` in a new thread; `text` describes its first step.
 
-        If `work` raises a `DbbError`, such as `Cancelled`, or an `OSError`, `problem` has the
-        message. After any other exception, `problem` refers to the log. If a job is running, this
-        raises `ConfigError`.
+        If `work` raises a `DbbError` or an `OSError`, `problem` has its message; after any other
+        exception, `problem` refers to the log. Raises `ConfigError` if a job is running.
         """
         with self._lock:
             running = self.progress  # read once, because the work's thread may clear it
@@ -97,7 +95,6 @@ class Job:
             self.progress = self.progress._replace(text=text, share=share)
 
     def check(self) -> None:
-        """Raise `Cancelled` if the running job was cancelled."""
         if self.cancelled:
             raise Cancelled("cancelled")
 

@@ -322,10 +322,7 @@ class Timeline:
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """Return the marked snapshots, or without marks those of the last 60 s; oldest first.
-
-        Raises `LogError` if there are fewer than two.
-        """
+        """Return the marked snapshots, or those of the last 60 s; `LogError` for less than two."""
         self.shown()
         with self._lock:
             found = list(self._marked) if self.begin is not None else self._loop.stored()

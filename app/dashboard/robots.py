@@ -40,7 +40,6 @@ class RobotEntry(NamedTuple):
 
 
 def robot_entries() -> list[RobotEntry]:
-    """Return all robots, sorted by name."""
     entries = []
     for name in assets.robot_names():
         title, about, problem = name, "", None
@@ -79,7 +78,6 @@ class RobotSwitch(Job):
     replaces_robot = True
 
     def __init__(self, start_loop: StartLoop | None) -> None:
-        """Create an idle switch; if `start_loop` is None, the robot cannot be switched."""
         super().__init__()
         self._start_loop = start_loop
         self.possible = start_loop is not None  # whether the robot can be switched
@@ -218,7 +216,6 @@ class RobotBuild(Job):
         self.start(request.name, "starting", work)
 
     def close(self) -> None:
-        """Cancel the job and delete the upload."""
         super().close()
         self._forget()
 

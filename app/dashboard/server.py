@@ -87,7 +87,6 @@ class DashboardServer:
         close_server(self.viser)
 
     async def _part(self, client: viser.ClientHandle) -> None:
-        """End the page of a disconnected viewer at once, before the next frame."""
         if page := self.pages.get(client.client_id):
             page.end()
 
@@ -120,7 +119,7 @@ class DashboardServer:
             self._fail("Drawing has stopped", error)
             while not self._stopping.wait(0.2):
                 if client := self._newcomer():
-                    _show_failure(client, "Drawing has stopped", error)
+                    client.gui.add_html(banner("error", "Drawing has stopped", plain(error)))
 
     def _draw_picture(self) -> None:
         """Draw a frame of each page; no local name may keep a robot that this call replaces."""
@@ -179,7 +178,6 @@ class DashboardServer:
             self.pages.pop(number).end()
 
     def _build_page(self, client: viser.ClientHandle) -> None:
-        """Build a viewer's page; it replaces the viewer's page of another robot, if any."""
         number, before = client.client_id, self.pages.get(client.client_id)
         try:
             if before is None:
@@ -192,7 +190,7 @@ class DashboardServer:
             client.scene.reset()
             client.gui.reset()
             self.shared.loop.send(Release(number))  # a part of the page can have pulled
-            _show_failure(client, _PAGE_ENDED, error)
+            client.gui.add_html(banner("error", _PAGE_ENDED, plain(error)))
             if before is not None:
                 self.pages.pop(number).end()
             return
@@ -219,10 +217,6 @@ class DashboardServer:
         self._failure = (title, error)
         for page in self.pages.values():
             page.fail(title, error)
-
-
-def _show_failure(client: viser.ClientHandle, title: str, error: BaseException) -> None:
-    client.gui.add_html(banner("error", title, plain(error)))
 
 
 def serve_dashboard(

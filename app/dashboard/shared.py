@@ -156,8 +156,7 @@ class SharedState:
             "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
         self.course, self.strip = Course(), Strip(model.body_names)
-        tracks: list[Track | Course | Strip] = [*self.tracks.values()]
-        self.keepers = [*tracks, self.course, self.strip]  # get each snapshot
+        self.keepers = (*self.tracks.values(), self.course, self.strip)  # get each snapshot
         self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._watched = True
         usual = model.description.config

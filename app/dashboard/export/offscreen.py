@@ -145,12 +145,10 @@ class OffscreenScene:
         (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
         corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
         corners = in_world(base_pose, corners)
+        ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        colour = np.array(colours.TRAIL_BASE, np.uint8)
         self._server.scene.add_line_segments(
-            "/start",
-            np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
-            np.array(colours.TRAIL_BASE, np.uint8),
-            thickness=_OUTLINE,
-            thickness_units="screen",
+            "/start", ends, colour, thickness=_OUTLINE, thickness_units="screen"
         )
 
     def draw(self, t: float, *, texts: bool = True) -> None:

@@ -81,9 +81,8 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
     """Join pictures of equal size side by side, each with its time [s] in the upper left corner."""
     width, height = pictures[0].size
     timed = zip(pictures, times, strict=True)
-    whole = offscreen.side_by_side(
-        [offscreen.label(each.copy(), [f"t = {t:g} s"], dark=dark) for each, t in timed]
-    )
+    labelled = [offscreen.label(each.copy(), [f"t = {t:g} s"], dark=dark) for each, t in timed]
+    whole = offscreen.side_by_side(labelled)
     for x in range(width, whole.width, width):
         ImageDraw.Draw(whole).line([(x, 0), (x, height)], fill=offscreen.INK[dark])
     return whole

@@ -36,10 +36,8 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> "Window":
-        """Return a window from sizes [px] and covered shares [-] of a page, within limits.
-
-        Impossible values, such as the size 0 of a new page, give the default window.
-        """
+        """Return a window, within limits, from sizes [px] and covered shares [-] of a page."""
+        # At first the sizes of a page are 0, and the window is the default.
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return cls()
         aspect, covered = min(max(width / height, 0.4), 4.0), min(below, _MOST_COVERED[1])
@@ -118,7 +116,6 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Look at the robot of a snapshot from the preset of `first_view`."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
@@ -214,7 +211,6 @@ class Camera:
         return self._arrived and self._set is None and moved
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
-        """Handle a report of the browser, which may confirm the position that was set last."""
         there = self._set is not None and _near(camera.position, self._set)
         self._arrived |= there
         # A slow browser reports its old position for seconds: the new one has not arrived yet.
@@ -312,9 +308,8 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
     """
     axes = _axes(-away)
     across, depth = np.vsplit(axes @ points.T, [2])
-    low, high = (
-        np.tan(FIELD_OF_VIEW / 2) * np.array([(-window.aspect, window.aspect), window.edges]).T
-    )
+    free = np.array([(-window.aspect, window.aspect), window.edges])
+    low, high = np.tan(FIELD_OF_VIEW / 2) * free.T
     spare = 0.05 * (high - low)  # a margin on each side
     low, high = low + spare, high - spare
     # A camera at coordinate u_0 and depth w_0 shows a point at (u - u_0)/(w - w_0). This is between
