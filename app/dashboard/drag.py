@@ -65,9 +65,9 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world.
 
-        With `by_keys`, keys must hold the point, otherwise a drag; else the call has no effect. A
-        target below the floor is moved to z = 0, and the viewer is warned once per held point. If
-        `reach` is set, no pull is sent, and `reach` gets the end-effector's unchanged targets.
+        A call with `by_keys` has no effect unless keys hold the point; another call has no effect
+        unless a drag does. A target below the floor is moved to z = 0, with one warning per held
+        point. If `reach` is set, no pull is sent: it gets the end-effector's unchanged targets.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -118,7 +118,7 @@ class Grip:
                 self._sink.send(Release(self._client.client_id))
 
     def release_if_still(self, seconds: float) -> None:
-        """Release the point if its last `take` or `pull` is over `seconds` ago; then warn."""
+        """Release the point, with a warning, if its last `take` or `pull` is over `seconds` ago."""
         with self._lock:
             if self._held is None or monotonic() - self._moved <= seconds:
                 return
@@ -144,7 +144,7 @@ class DragHandles:
         self._dragged = False  # whether the viewer drags the gizmo
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless it is dragged; make the arm draggable."""
+        """Move the gizmo to the end-effector unless dragged; make new meshes of links draggable."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:

@@ -60,7 +60,7 @@ class Explorer:
         return replace(self._response, **{name: getattr(snapshot, name) for name in about})
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
-        """Return a posture with the end-effector near `place` (3,) [m, world], and its error [m].
+        """Return a posture with the end-effector near `place` (3,) [m, world], and the error [m].
 
         The search starts from `posture`, and keeps the base and the direction of the end-effector's
         z axis. If the error is not below `CLOSE`, a second search lets the axis turn; then the

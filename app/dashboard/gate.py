@@ -122,10 +122,7 @@ class Gate:
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Check all connections of the server that viser starts in this context.
-
-        Raises `ServerError` if viser does not start it by `websockets.asyncio.server.serve`.
-        """
+        """Check the connections of the server that viser starts inside; none: `ServerError`."""
         with _lock:
             original, seen = websockets_server.serve, []
 
@@ -261,7 +258,7 @@ def is_allowed(
 ) -> bool:
     """Whether the server answers a request; `origin` and `host` are its headers, None if absent.
 
-    `Host` must be an IP address, localhost or a name in it, the name of this machine, or one of
+    `Host` must be an IP address, localhost or below it, the name of this machine, or one of
     `own_names`, because another website could let its own name point to this machine. `Origin`,
     which browsers send with each websocket request, must have the same name and port as `Host`, or
     a name in `allowed`, because a proxy can change `Host`. Other programs send no origin. A request
@@ -305,7 +302,7 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """Register of a viewer's unfinished uploads: viser would store parts of other files forever."""
+    """Register of a viewer's unfinished uploads; viser would store unregistered parts forever."""
 
     def __init__(self, largest: int, everyone: Collection["Uploads"] = ()) -> None:
         """Accept files up to `largest` [bytes]; `everyone` has the registers of all viewers."""

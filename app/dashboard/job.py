@@ -1,7 +1,7 @@
 """Background jobs of the page: cancellable work in parallel to the simulation.
 
 Work that fully occupies a core runs in a separate process (`Job.run`), which imports the module of
-the work. So that the import of this module is fast, its functions import their modules themselves.
+the work. So that the import of this module is fast, its functions import other modules themselves.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _PATIENCE = 10.0  # [s] timeout for the end of a thread
 def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector, and return the freed memory to the system.
 
-    Python itself rarely searches old objects for reference cycles. If `frozen`, the collector also
-    searches the objects that `gc_frozen` has excluded, and then excludes all remaining objects.
+    Python itself rarely searches old objects for reference cycles. If `frozen`, objects that
+    `gc_frozen` has excluded are searched too; if there are any, all objects are excluded again.
     """
     frozen &= gc.get_freeze_count() > 0
     if frozen:

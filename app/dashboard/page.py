@@ -79,7 +79,7 @@ class Page(Viewer):
         return self.explorer_panel.shown(newest := self.shared.loop.latest(), newest)
 
     def draw(self, *, texts: bool) -> None:
-        """Draw the snapshot that the viewer sees; with `texts`, also panels, plots and labels."""
+        """Draw the snapshot that the viewer sees; update panels, plots, labels only if `texts`."""
         newest, shown = self.shared.loop.latest(), self.timeline.shown()
         if not newest.follows(self._newest) and self.grip.holds_anything:
             self.grip.release()  # the simulation has restarted and has dropped all pulls
@@ -193,7 +193,6 @@ class Page(Viewer):
             gui.add_markdown(TEXT.format(keys=keys))
 
     def _shortcuts(self) -> list[tuple[str, Any, Callable[[], None]]]:
-        """Return label, key or None, and action of each entry in the list that `Ctrl K` opens."""
         views = ((f"Camera: {name}", str(i), name) for i, name in enumerate(PRESETS, 1))
         return [
             (f"{PAUSE} or {CONTINUE.lower()}", "space", self.toggle_pause),

@@ -67,7 +67,7 @@ class Course:
         self.pull = self.speed = 0.0  # [N] largest external force; [m/s] peak end-effector speed
         self.path = 0.0  # [m] length of the base's path
         self.inside = self.left = False  # whether a touch of the first snapshot lasts; has ended
-        self.touched = self.contact = False  # whether a touch began later; the plant reported one
+        self.touched = self.contact = False  # whether another began; the plant reported a contact
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
@@ -153,7 +153,7 @@ class Strip:
         self._bin, self._last = [], nearest
 
     def _note(self, t: float, kind: str, subject: str, text: str) -> None:
-        """Add an event, or update the event of the same kind and subject if it is recent."""
+        """Add an event, or update the text of the same event if it was seen within `_QUIET`."""
         number, seen = self._seen.get((kind, subject), (-1, -np.inf))
         if t - seen <= _QUIET and number in self.events:
             self.events[number] = self.events[number]._replace(text=text)
@@ -322,7 +322,7 @@ class Timeline:
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """Return the marked snapshots, or those of the last 60 s; `LogError` for less than two."""
+        """Return the marked snapshots, else those of the last 60 s; `LogError` if below two."""
         self.shown()
         with self._lock:
             found = list(self._marked) if self.begin is not None else self._loop.stored()

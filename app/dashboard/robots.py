@@ -87,7 +87,7 @@ class RobotSwitch(Job):
         self._loop: LoopHandle | None = None
 
     def look(self) -> None:
-        """Renew `entries`; this reads the files of each robot."""
+        """Search for robots, and update `entries`; this reads the files of each robot."""
         self.entries = robot_entries()
 
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:

@@ -135,7 +135,7 @@ class SharedState:
         robot_switch: RobotSwitch | None = None,
         before: "SharedState | None" = None,
     ) -> None:
-        """Use jobs and parameters of the replaced robot's state `before`; cf. `serve_dashboard`."""
+        """Use jobs and parameters of the old robot's state `before`; see also `serve_dashboard`."""
         self._newest = first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
         self.case = case  # a scenario that a button plays, or None

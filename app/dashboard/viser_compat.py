@@ -139,8 +139,7 @@ def scene_picture(
 ) -> np.ndarray:
     """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
 
-    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError` if no picture arrives
-    within the timeout [s].
+    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError` after `timeout` [s].
     """
     if (connection := _connection(client)) is None:
         raise RuntimeError("the page has disconnected")
@@ -286,7 +285,6 @@ class Watchdog:
 
 
 async def _ping(connection: Any) -> None:
-    """Wait for the answer of a viewer's browser, or for the end of the connection."""
     with contextlib.suppress(ConnectionClosed):
         await (await connection.ping())
 

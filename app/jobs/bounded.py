@@ -53,8 +53,9 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
         return read(*args)
     budget = Budget.of(size)
     with _AT_ONCE, suppress(MemoryError, EndedError):
-        work, never = (_limited_read, budget, read, args), threading.Event()
-        packed = run_in_process(*work, report=lambda *_: None, cancelled=never, niceness=0)
+        cancelled = threading.Event()  # is never set
+        work = _limited_read, budget, read, args
+        packed = run_in_process(*work, report=lambda *_: None, cancelled=cancelled, niceness=0)
         return pickle.loads(packed)
     raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
 

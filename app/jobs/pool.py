@@ -75,14 +75,12 @@ class Workers(AbstractContextManager["Workers"]):
     ) -> Iterator[Result]:
         """Execute the jobs, and yield their results in the order of the jobs.
 
-        `function` and `jobs` must be picklable. The processes begin at once; this process executes
-        a job when its result is read. `on_progress` gets the finished share of all jobs, in the
+        `function` and `jobs` must be picklable. Other processes begin at once; without them, a job
+        runs when its result is read. `on_progress` gets the finished share of all jobs, in the
         thread that reads the results. With `tells`, `function` has a third argument, of the type
-        `OnProgress`, that it calls with the finished share of its job.
-
-        If the process of a job has ended in each of three attempts, `lost` makes the job's result.
-        Without `lost`, a LoopError is raised when the result is read, as are exceptions of
-        `function` and `make_context`.
+        `OnProgress`, that it calls with the finished share of its job. If the process of a job has
+        ended in each of three attempts, `lost` makes the job's result. Without `lost`, a LoopError
+        is raised when the result is read, as are exceptions of `function` and `make_context`.
         """
         work = function if tells else partial(_without_reports, function)
         sent: SimpleQueue[tuple[int, float]] = SimpleQueue()  # number and finished share of a job

@@ -274,11 +274,11 @@ def film_pictures(
 ) -> Generator[Image.Image, None, None]:
     """Yield the pictures of a film; they do not depend on the duration of the drawing.
 
-    Each picture shows the last snapshot at or before one of `times` [s], and the lines of
-    `captioned`. Between two pictures, the camera turns about the vertical axis through its target
-    by `orbit` [rad]. A part of a side-by-side film needs `framed`, the snapshots of all robots: the
-    camera shows them all, the base's initial outline is drawn, and `story` replaces `captioned`.
-    Raises `AssetError` as `RobotParts`.
+    Each picture shows the last snapshot at or before one of `times` [s], with the text of
+    `captioned`. Per picture, the camera turns by `orbit` [rad] about the vertical axis through its
+    target. In a part of a side-by-side film, `framed` has the snapshots of all robots: the camera
+    shows them all, and the base's first outline and the text of `story` are drawn. Errors are those
+    of `RobotParts`.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):
@@ -329,9 +329,8 @@ def captioned(
 ) -> Image.Image:
     """Write scenario and time into a picture, then method and clearance of each robot.
 
-    If `posed`, the posture is not simulated, and a note replaces scenario and time. If `named`, the
-    picture has labels with methods and clearances if there are ghosts; then only the first line is
-    written.
+    If `posed`, the posture is not simulated, and a note replaces scenario and time. If `named`, and
+    if there are ghosts, method and clearance are omitted: the picture already has them as labels.
     """
     scenario = f"{shown.scenario}, " if shown.scenario else ""
     first = "Preview, not simulated" if posed else f"{scenario}t = {shown.t:.2f} s"
@@ -413,7 +412,7 @@ def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
 def label(
     picture: Image.Image, lines: Sequence[str | tuple[str, Rgb]], *, dark: bool
 ) -> Image.Image:
-    """Write lines into a picture's upper left corner, and return it; lines can have a colour."""
+    """Write lines of text into a picture's upper left corner, and return the picture."""
     size = max(round(_HEIGHT * picture.height), _MIN_HEIGHT)
     font, draw = ImageFont.load_default(size), ImageDraw.Draw(picture)
     for k, line in enumerate(lines):

@@ -98,7 +98,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
-    """Return the page's picture with all messages, once two are equal, or the twelfth picture."""
+    """Draw all messages; return the first picture that equals the one before, or the twelfth."""
     n, ready = next(_numbers), "([name, n]) => dbbPage.arrived(name) === n"
     offscreen.send_barrier(server, n)
     values, timeout = [offscreen.BARRIER, n], 1000 * offscreen.TIMEOUT

@@ -151,10 +151,7 @@ class DrawnBorders:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw the changed borders, and return whether there are any.
-
-        This takes milliseconds: call it outside of `atomic`, which delays all messages.
-        """
+        """Draw changed borders; return whether there are any. Slow: call it outside of `atomic`."""
         changed = False
         for pair, quantity in view.borders.items():
             whole, light = view.whole_border, view.light

@@ -37,9 +37,8 @@ class Window(NamedTuple):
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> "Window":
         """Return a window, within limits, from sizes [px] and covered shares [-] of a page."""
-        # At first the sizes of a page are 0, and the window is the default.
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
-            return cls()
+            return cls()  # at first, the sizes of a page are 0
         aspect, covered = min(max(width / height, 0.4), 4.0), min(below, _MOST_COVERED[1])
         return cls(aspect, covered, min(above, _MOST_COVERED[0] - covered))
 
@@ -74,7 +73,7 @@ class Camera:
     """Moves the camera of one client.
 
     The browser reports each new position after a delay, together with the viewer's own changes. So
-    that no change is lost, the camera moves again only after the browser's report.
+    that no change is lost, `follow` and `find` wait for this report, but at most for `_PATIENCE`.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -174,11 +173,11 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        A run with a door starts with the preset "door"; a run without a door replaces it by "iso".
-        Then, without a pull (`busy`), the last preset is used if the robot was not in sight since
-        the start of the run. It is also used if the camera follows (`on`), and either the base has
-        moved by more than `_MOVED` out of sight, or the preset still shows the whole robot or the
-        pair, but not the end-effector of the robot or of a near ghost.
+        This happens, without a pull (`busy`), in three cases: the robot was not in sight since the
+        start of the run; the camera follows (`on`), and the base has moved by more than `_MOVED`
+        out of sight; the camera follows, still has a preset of the whole robot or of the pair, and
+        does not show the end-effector of the robot or of a near ghost. Also during a pull, a run
+        with a door starts with the preset "door"; in a run without a door, "iso" replaces "door".
         """
         before, self._before = self._before or snapshot, snapshot
         begun = not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)
@@ -281,7 +280,6 @@ def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
-    """Return the robot, and the ghosts whose base is within `_FAR` of the robot's base."""
     away = [np.linalg.norm((ghost.base_pose - snapshot.base_pose)[:2]) for ghost in snapshot.ghosts]
     return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 

@@ -140,7 +140,7 @@ def _visuals(robot: RobotModel, apart: bool) -> list[Visual]:
 
 
 def load_visuals(description: RobotDescription) -> list[Visual]:
-    """Load the URDF's visual meshes for display; too dark colours are brightened.
+    """Load the URDF's visual meshes for display, in its colours; too dark ones are brightened.
 
     `joint` of each result is the index of a joint in `LinkPoses.model`. Raises `AssetError` if the
     URDF or a mesh is missing, and `RobotFileError` if a shape or a mesh is invalid.

@@ -134,7 +134,6 @@ class Scene:
         return verdict
 
     def _light_up(self) -> None:
-        """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black."""
         scene, light, dark = self._scene, self._light, self._dark
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
         scene.configure_environment_map(None)  # reflections double the time of software rendering
