@@ -108,7 +108,6 @@ class _PartLowering(NativeLowering):
         function = library._final_module.get_function(state.cr.fndesc.llvm_func_name)
         if len(state.func_id.func.__code__.co_code) > _INLINED:
             function.add_function_attribute("noinline")
-
         entry_point = [].append  # never called: numba requires a separate built-in function here
         state.targetctx.insert_user_function(entry_point, state.cr.fndesc, [library])
         state.cr = state.cr._replace(cfunc=entry_point)
@@ -176,8 +175,10 @@ class _PartCompiler(_Compiler):
 
 
 def direct(kernel: Function) -> Function:
-    """The compiled code of a kernel with one signature, without numba's check of types, which takes
-    2 to 3 µs: a wrong type is undefined behaviour. With ``NUMBA_DISABLE_JIT=1`` the kernel.
+    """The compiled code of a kernel with one signature; with ``NUMBA_DISABLE_JIT=1`` the kernel.
+
+    The code does not check the types of the arguments, because numba's check takes 2 to 3 µs per
+    call. A call with a wrong type has undefined behaviour.
     """
     if config.DISABLE_JIT:
         return kernel
@@ -187,7 +188,7 @@ def direct(kernel: Function) -> Function:
 
 def _any_array(signature: str) -> Signature:
     """The signature in which arrays such as `f8[:]`, but not `f8[::1]`, can have any strides and be
-    read-only; it does not change for a function without a result, which writes into its arguments.
+    read-only. A function without a result keeps its signature, because it writes into arguments.
     """
     arguments, returned = sigutils.normalize_signature(signature)
     if returned != types.void:

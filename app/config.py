@@ -18,12 +18,12 @@ from app.errors import ConfigError, did_you_mean
 from app.strict import Strict, explain
 
 
-def number(default: float, low: float, high: float, label: str, **extra: bool | str) -> Any:
-    """A field of a section: a number from `low` to `high` that is displayed as `label`.
-
-    `extra` are the fields `advanced` and `source` of `Parameter`.
-    """
-    return Field(default, ge=low, le=high, title=label, json_schema_extra={**extra})
+def number(
+    default: float, low: float, high: float, label: str, *, advanced: bool = False, source: str = ""
+) -> Any:
+    """A field of a section: a number from `low` to `high`; the arguments are as in `Parameter`."""
+    extra: dict[str, Any] = {"advanced": advanced, "source": source}
+    return Field(default, ge=low, le=high, title=label, json_schema_extra=extra)
 
 
 class Parameter(NamedTuple):
@@ -37,8 +37,7 @@ class Parameter(NamedTuple):
     low: float = math.nan  # NaN for a choice
     high: float = math.nan
     choices: tuple[str, ...] = ()  # the words; empty for a number
-    advanced: bool = False
-    """Whether the dashboard hides the parameter until the user displays all parameters."""
+    advanced: bool = False  # whether the dashboard hides it until the user displays all parameters
     source: str = ""
     """Source of the default, or a reason for it; empty if the default is this project's choice."""
 
@@ -72,21 +71,28 @@ class Section(NamedTuple):
 def _read(path: str, field: dict[str, Any]) -> Parameter:
     """The parameter that a field's JSON schema describes."""
     unit, _, text = field["description"].removeprefix("[").partition("]")
-    low, high = field.get("minimum", math.nan), field.get("maximum", math.nan)
-    texts, choices = (" ".join(text.split()), field["title"], unit), tuple(field.get("enum", ()))
-    extra = {key: field[key] for key in ("advanced", "source") if key in field}
-    return Parameter(path, field["default"], *texts, low, high, choices, **extra)
+    return Parameter(
+        path=path,
+        default=field["default"],
+        help=" ".join(text.split()),
+        label=field["title"],
+        unit=unit,
+        low=field.get("minimum", math.nan),
+        high=field.get("maximum", math.nan),
+        choices=tuple(field.get("enum", ())),
+        advanced=field.get("advanced", False),
+        source=field.get("source", ""),
+    )
 
 
-_TITLES = {
+_TITLES = {  # titles of sections that differ from their names
     "ee_hold": "End-effector hold",
     "task": "Tasks",
     "limit": "Limits",
     "hand": "Person's hand",
     "disturbance": "Disturbances",
 }
-"""Titles of sections that differ from their names."""
-FORMER_NAMES = {
+FORMER_NAMES = {  # names of parameters in older files, with the present names
     "activation.blend": "activation.closest_point_smoothing",
     "barrier.leaving": "barrier.max_separation_speed",
     "holding.speed": "ee_hold.min_speed",
@@ -97,7 +103,6 @@ FORMER_NAMES = {
     "estimate.push_change": "estimate.external_drift",
     "estimate.window": "estimate.noise_window",
 }
-"""Names of parameters in older files, with the present names."""
 
 
 class BorderConfig(Strict):
@@ -116,11 +121,7 @@ class ForceConfig(Strict):
     """§3.1: acting point and force."""
 
     f_max: float = number(
-        300.0,
-        0.0,
-        600.0,
-        "Force at contact f_max",
-        source="equal to the assumed traction limit of the paper's robot",
+        300.0, 0.0, 600.0, "Force at contact f_max", source="traction limit of the paper's robot"
     )
     """[N] f_max of (14): force of a pair on the base at contact, for a horizontal normal."""
     f_arm: float = number(5.0, 0.0, 50.0, "Force on the arm f_arm")
@@ -148,9 +149,7 @@ class ForceConfig(Strict):
 class ActivationConfig(Strict):
     """§3.4: activation β of a pair, a cubic from 0 at d_b to 1 at d_full, over at least 20 mm."""
 
-    d_full: float = number(
-        0.05, 0.0, 0.05, "Full activation at d_full", source="paper, Figure 10, §3.4"
-    )
+    d_full: float = number(0.05, 0.0, 0.05, "Full activation at d_full", source="paper, Figure 10")
     """[m] the avoidance task of a pair is fully active at distances up to d_full, or up to
     d_b − 0.02 m if that is smaller."""
     closest_point_smoothing: float = number(
@@ -243,9 +242,7 @@ class LimitConfig(Strict):
     velocity_rate: float = number(70.0, 1.0, 200.0, "Speed-limit rate", advanced=True)
     """[1/s] approach rate of speed limits: largest permitted joint acceleration divided by the
     difference of speed and limit."""
-    torque_rate: float = number(
-        1000.0, 50.0, 1e6, "Torque slew rate", source="limit of a Panda (Franka Emika)"
-    )
+    torque_rate: float = number(1000.0, 50.0, 1e6, "Torque slew rate", source="limit of a Panda")
     """[N m/s] slew rate limit of the arm's torques; N/s for a prismatic joint. A Panda allows
     1000 N m/s."""
 
@@ -391,9 +388,9 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`.
-
-    Both rates of joint limits become `limit.position_rate` divided by the factor.
+    """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`:
+    those of the end-effector's task, the repulsion, the barrier and the limits of joint positions.
+    `limit.velocity_rate` becomes the new `limit.position_rate`.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale

@@ -60,8 +60,7 @@ def save_config(config: Config, name: str = "", hosts: Sequence[str] = ()) -> st
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """The content of a file from its bytes; missing parameters have the values of `usual` or
-    `Config()`.
+    """The content of a file; a missing parameter has its value in `usual` or else its default.
 
     Raises a ConfigError if the file is too large or not TOML, a parameter is unknown, or a value,
     the name or a host is invalid.
@@ -78,15 +77,17 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
     server = data.pop(_SERVER, {})
     hosts = server.pop(_HOSTS, []) if isinstance(server, dict) else None
     if server or not isinstance(hosts, list) or not all(isinstance(host, str) for host in hosts):
-        raise ConfigError(
-            f'[{_SERVER}]: must have only {_HOSTS}, a list of names such as ["robot.local"]'
-        )
+        text = f'must have only {_HOSTS}, a list of names such as ["robot.local"]'
+        raise ConfigError(f"[{_SERVER}]: {text}")
     name, config = checked_name(name), make_config(data, usual)
     return NamedConfig(name, config, tuple(map(checked_host, hosts)))
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """Read a file as `decode_config` does; the ConfigError also names an unreadable file."""
+    """Read a file as `decode_config` does; missing parameters have the values of `usual`.
+
+    If the file is not readable or not valid, this raises a ConfigError that names the file.
+    """
     try:
         return decode_config(content_of(path), usual)
     except OSError as error:
@@ -96,19 +97,15 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """A configuration's name without outer blanks; a ConfigError if too long or unprintable."""
+    """A configuration's name without blanks around it; raises a ConfigError for an invalid name."""
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
-        raise ConfigError(
-            f"name: must have at most {LONGEST_NAME} characters, all of them printable"
-        )
+        raise ConfigError(f"name: must have at most {LONGEST_NAME} characters, all printable")
     return name
 
 
 def checked_host(name: str) -> str:
-    """The name of a host in the form that browsers send; a ConfigError if the text is not such a
-    name, or has further parts such as a port.
-    """
+    """The name of a host in the form that browsers send; raises a ConfigError for other texts."""
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()
     except UnicodeError:  # a label is empty or too long

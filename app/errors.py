@@ -66,8 +66,7 @@ class UnreachableError(DbbError):
 
     def __init__(self, message: str, flaws: Mapping[str, int] | None = None) -> None:
         super().__init__(message)
-        self.flaws = dict(flaws or {})
-        """Number of failed tries for each reason."""
+        self.flaws = dict(flaws or {})  # number of failed tries for each reason
 
 
 class MeasurementError(DbbError):

@@ -22,7 +22,7 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     """Name and digest of each file on which a compiled kernel depends: its file, those of the
     compiled functions that it calls by name, and those that compile kernels and lay out structs.
-    The kernel's constants must be in one of them. An unreadable file raises an OSError.
+    A kernel's constants must be in one of these files. An unreadable file raises an OSError.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]
@@ -42,8 +42,8 @@ def _digest(file: Path) -> str:
 
 
 def _folders(file: str, *, make: bool) -> Iterator[Path]:
-    """The possible folders of a source file's kernels, in the order of search: in NUMBA_CACHE_DIR,
-    if it is set, `__pycache__` next to the source file, and in each of `cache_folders(make=make)`.
+    """The possible folders of a source file's kernels, in the order of search: one in
+    NUMBA_CACHE_DIR (if set), `__pycache__` beside the file, one in each of `cache_folders`.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:
@@ -79,7 +79,6 @@ class KernelStore(caching.FunctionCache):
     """The stored kernels of a function: read from any of `_folders`, written to a writable one."""
 
     _impl_class = _Described
-
     saved = False  # whether this process has stored a compiled kernel of the function
 
     def __init__(self, function: FunctionType) -> None:

@@ -33,7 +33,6 @@ Place = tuple[int | str, ...]  # the names of fields and numbers of items that l
 ValidText = Callable[[Place, str], str | None]
 
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
-
 LARGEST_TEXT = 10_000_000  # [bytes] size of the largest text file
 LARGEST_DATA = 10**6  # [characters] longest TOML or JSON text; each value needs 400 bytes
 
@@ -58,20 +57,14 @@ def field_docs(cls: type) -> Iterator[tuple[str, str]]:
 class Sourced(Strict):
     """A record in which every stated number needs a line in `source`."""
 
-    source: dict[str, str] = Field(default_factory=dict)
-    """The source of each number, by the name of the numeric field."""
+    source: dict[str, str] = Field(default_factory=dict)  # of each number, by its field's name
 
     @model_validator(mode="after")
     def _every_number_has_a_source(self) -> Self:
-        stated = {
-            name
-            for name in self.model_fields_set
-            if name != "source" and _holds_a_number(getattr(self, name))
-        }
-        if missing := stated - self.source.keys():
-            raise ValueError(
-                f"state the source of {', '.join(sorted(missing))} in the table `source`"
-            )
+        fields = self.model_fields_set - {"source"}
+        stated = {name for name in fields if _holds_a_number(getattr(self, name))}
+        if missing := sorted(stated - self.source.keys()):
+            raise ValueError(f"state the source of {', '.join(missing)} in the table `source`")
         if unknown := self.source.keys() - type(self).model_fields.keys():
             raise ValueError(f"`source` names unknown fields: {', '.join(sorted(unknown))}")
         return self
@@ -188,8 +181,7 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text with `loads` (TOML or JSON), by `within_budget`; `heavy` texts
-    always.
+    """Parse an untrusted text by `loads` (TOML or JSON); `within_budget` if it is long or `heavy`.
 
     A ValueError means that the text is invalid, too deeply nested or longer than a million
     characters, or that parsing exceeds the budget.
@@ -240,15 +232,14 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """Name of the placeholder in a file's place, with advice, by its first 1024 bytes; or empty."""
+    """The placeholder in a file's place, with advice, by its first 1024 bytes; empty if none."""
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
     return next(found, "")
 
 
 def text_of(content: bytes) -> str:
-    """The text of a user's file, with line feeds as line ends: UTF-8, or UTF-16 with a byte order
-    mark.
+    """Decode a user's file, UTF-8 or UTF-16 with a byte order mark; line ends become line feeds.
 
     A ValueError means that the file has a different encoding (the message names the line), or that
     the content is a `placeholder` and not empty.
@@ -265,13 +256,12 @@ def text_of(content: bytes) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-_SLIPS = {
+_SLIPS = {  # typical errors from word processors, as patterns that take linear time
     r"[“”„‘’‚«»]": 'is a typographic quote; write "',
     r"[:=\[]\s*-?[\d.]*\d,\d+(e[-+]?\d+)?\s*([,}\]]\s*)?$": "has a decimal comma; write a point",
     r"[\u00a0\u2007\u202f\u200b\u2060\u2028\ufeff]": "is a special space; write a plain one",
     r"[−–—]": "is a typographic minus or dash; write -",
 }
-"""Typical errors from word processors and spreadsheets, as patterns that take linear time."""
 
 
 def _slip(text: str) -> str:
@@ -286,8 +276,6 @@ def _slip(text: str) -> str:
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
     """Raise a ConfigError with option and range if a number is outside [low, high] or NaN."""
     if not low <= value <= high:
-        number, lowest, highest = (
-            n if isinstance(n, int) else f"{n:g}" for n in (value, low, high)
-        )
+        number, least, most = (n if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
         space = f" {unit}" if unit else ""
-        raise ConfigError(f"{option}: {number}{space} is not within {lowest} to {highest}{space}")
+        raise ConfigError(f"{option}: {number}{space} is not within {least} to {most}{space}")

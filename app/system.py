@@ -44,8 +44,9 @@ def usable_cores() -> int:
 def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    On three or more cores, the process also gets a real-time policy if possible, until it works for
-    0.5 s without a pause. Call this function in the main thread, before other threads start.
+    On three or more cores, the process also gets a real-time policy if possible. After work of
+    0.5 s without a pause, it leaves this policy; if that fails, the system ends it after 30 s. Call
+    this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -70,9 +71,8 @@ def lower_priority(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit the additional processor time [s] and memory [bytes] of this process in the `with`:
-    beyond the time, the system ends the process; beyond the memory, except on macOS, an allocation
-    fails.
+    """Limit the additional processor time [s] and memory [bytes] of this process in the `with`.
+    Beyond the time, the system ends it; beyond the memory, an allocation fails (not on macOS).
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -91,8 +91,7 @@ def limited(seconds: float, memory: int) -> Iterator[None]:
             resource.setrlimit(kind, usual)
 
 
-ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-"""Signals by which a user, a supervisor or a closed terminal ends a command."""
+ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP  # by a user, a supervisor, a closed terminal
 
 
 @contextmanager
@@ -131,16 +130,16 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End all processes of the group with the number `leader`, 0 for the group of this process;
-    with `at_once`, they cannot clean up.
-    """
+    """End all processes of a group (0: that of this process); with `at_once`, without a cleanup."""
     # The group has no process; macOS raises the second error if all its processes have ended.
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL if at_once else signal.SIGTERM)
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock an open file or folder until it closes; False if already locked, None if impossible."""
+    """Lock an open file or folder until it is closed, and return True. Return False if another
+    process has the lock, None if the file system has no locks.
+    """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -197,8 +196,8 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The descriptor that locks a folder; None if another has the folder or has replaced it. In a
-    file system without locks, it locks nothing; with `surely` it is None.
+    """The descriptor that locks a folder; None if another process or user has or has replaced it.
+    In a file system without locks, the descriptor locks nothing; with `surely` it is None.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -231,8 +230,8 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """Resolve the links of a path; an OutputError if it has more than 40 links or another user's
-    link in a shared folder, or is relative to a working folder that has been removed.
+    """Resolve the links of a path; raises an OutputError if it has more than 40 links or another
+    user's link in a shared folder, or is relative to a working folder that has been removed.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -264,9 +263,8 @@ def _is_foreign(link: Path) -> bool:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield the path of a new file that replaces the file at `path` if the `with` raises no error.
 
-    No reader sees an incomplete file. If `path` is a link of this user, the file replaces the
-    target of the link. If the file cannot be written, this raises an OutputError, and the previous
-    file remains.
+    No reader sees an incomplete file. If `path` is a link, the new file replaces its target
+    (`own_path`). If writing fails, this raises an OutputError, and the previous file remains.
     """
     try:
         real = own_path(path)
@@ -285,8 +283,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """Yield a temporary folder that becomes `out` if the `with` raises no error; an OutputError if
-    `out` is not an empty folder, a mount point or not writable, or another process is making it.
+    """Yield a temporary folder that becomes `out` if the `with` raises no error; an OutputError
+    means that `out` is a file, a mount point or not empty, cannot be written, or is in use.
     """
     with ExitStack() as stack:
         try:
@@ -344,8 +342,8 @@ def home_expanded(path: str) -> Path:
 
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
-    """This user's cache folders: the standard one, if the user has a home, then one in the folder
-    for temporary files, which `make` creates, if it can be used.
+    """This user's cache folders: the standard one, unless the user has no home; then one in the
+    folder for temporary files, unless it cannot be used. With `make`, the latter is created.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -376,7 +374,8 @@ def open_standard_files() -> None:
     """Open standard input, output and error as null devices if the parent process closed them;
     otherwise the next file, pipe or socket would receive printed text.
 
-    Text for a closed output raises an OSError. Codes replace characters that its encoding lacks.
+    Text for a closed standard output raises an OSError, because a result would be lost. Codes
+    replace the characters that the encoding of standard output lacks.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # a file of a library may already use its number
@@ -387,9 +386,7 @@ def open_standard_files() -> None:
 
 
 def set_missing_folders() -> None:
-    """Set a writable temporary folder, and a home for browsers, if missing in this environment;
-    often only /dev/shm is writable in a container.
-    """
+    """Set TMPDIR if no temporary folder is writable, and HOME (for browsers) without a home."""
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
     try:
@@ -403,7 +400,7 @@ def set_missing_folders() -> None:
 
 @contextmanager
 def decimal_points() -> Iterator[None]:
-    """Make C libraries of this thread read decimal points, also if a GUI has set decimal commas."""
+    """In the `with`, C code in this thread reads decimal points, even if the locale has commas."""
     library = _c_library()
     if library is None or not hasattr(library, "uselocale"):
         yield

@@ -4,7 +4,7 @@ import math
 import signal
 from asyncio import events
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from importlib.util import find_spec
 from typing import Any
@@ -172,8 +172,12 @@ def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def made_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the dashboard's jobs work in this process; a film still has a process of its own."""
+    """Let the dashboard's jobs work in this process; a film still has a process of its own.
+
+    A limit of processor time would include the other threads of this process, and end it.
+    """
     monkeypatch.setattr(job.Job, "run", lambda self, work, *args: work(self.report, *args))
+    monkeypatch.setattr(job, "limited", lambda *_: nullcontext())
 
 
 _models: dict[str, RobotModel] = {}

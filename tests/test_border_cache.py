@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import math
 import os
 import time
 from pathlib import Path
@@ -79,6 +81,38 @@ def test_a_file_of_another_key_or_format_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "FORMAT", cache.FORMAT + 1)
     with pytest.raises(DamagedFileError, match="another"):
         read(path, "k")
+
+
+def with_header(path: Path, **fields: object) -> Path:
+    """The file after a change of some fields of its header."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    header = json.loads(arrays["header"].tobytes()) | fields
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    np.savez(path, **arrays)
+    return path
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        {"format": str(cache.FORMAT)},
+        {"rates": {"lm-lEE": -1.0}},
+        {"least_distance_m": {"lm-lEE": math.nan}},
+        {"mobile": [["lm"]]},
+        {"mobile": [["lm", "l9"], ["lm", "l8"], ["lm", "l7"]]},
+        {"samples": "many"},
+    ],
+)
+def test_a_header_with_an_invalid_field_is_refused(tmp_path, forged):
+    write(tmp_path / "x.npz", content(), "k")
+    with pytest.raises(DamagedFileError):
+        read(with_header(tmp_path / "x.npz", **forged), "k")
+
+
+def test_an_unknown_field_of_a_header_has_no_effect(tmp_path):
+    write(tmp_path / "x.npz", content(), "k")
+    assert_same(read(with_header(tmp_path / "x.npz", newer=1), "k"), content())
 
 
 def test_a_flipped_byte_or_a_truncated_file_is_detected(tmp_path):

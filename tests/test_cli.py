@@ -23,6 +23,7 @@ import pytest
 
 from app.cli.common import print_json
 from app.cli.main import COMMANDS, main
+from app.cli.options import in_order
 from app.errors import LogError
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
@@ -638,6 +639,17 @@ def test_home_is_expanded_in_a_path(dbb, form, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["a.toml"]
     assert dbb("config", "--config=~/a.toml").status == 0
     refused(dbb("screenshot", "~/no.json", "--at", "1", "--out=~/a.png"), f"{tmp_path}/no.json")
+
+
+def test_home_is_expanded_in_no_free_text(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/ann")
+    texts = ["--title=~/arm", "--licence", "~"]
+    assert in_order(["--log", "~/a", *texts, "--out=~"]) == [
+        "--log",
+        "/home/ann/a",
+        *texts,
+        "--out=/home/ann",
+    ]
 
 
 def test_output_encoding_without_a_character_gets_its_escape_code():

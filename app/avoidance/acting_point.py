@@ -69,9 +69,7 @@ def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
 def find_acting_point(
     border: Any, pair: int, score: Array, p_b: Array, d: float, step: tuple[float, float, float]
 ) -> ActingPoint:
-    """The acting point of a pair of arm and base, for the closest point p_b on the arm.
-
-    Paper: Algorithm 3.
+    """Algorithm 3: acting point of a pair of arm and base, for the closest point p_b on the arm.
 
     `border` is `BORDER` of the robot, `pair` the number of the pair in L_m, from 0, and `score`
     (9,) the `ScoreField.coefficients` of the pair's body. `p_b` (3,) [m] is in the base's frame,
@@ -148,6 +146,7 @@ class ActingPointFinder:
     """Algorithm 3 for one pair, for drawings and studies outside of a control step."""
 
     def __init__(self, border: Any, field: ScoreField) -> None:
+        """Use the first pair of `border`, a `BORDER`."""
         self.field = field
         """The score of the pair's body."""
         self._border, self._score = border, field.coefficients()
@@ -155,6 +154,5 @@ class ActingPointFinder:
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
         """The acting point for p_b (3,) [m] at the distance d [m]; None if l_m has no border."""
         step = force.alpha_gain, force.alpha_min, force.alpha_max
-        at = np.array(p_b, float)
-        found = find_acting_point(self._border, 0, self._score, at, d, step)
+        found = find_acting_point(self._border, 0, self._score, np.array(p_b, float), d, step)
         return None if math.isnan(found.alpha) else found

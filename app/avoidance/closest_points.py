@@ -49,20 +49,18 @@ class DistanceMonitor:
 class SmoothPoints:
     """Closest points by a mean over the nodes of the core of `b`; nearer nodes weigh more.
 
-    If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
-    one end to the other as the capsule turns. Here each node, such as a point of a capsule's axis,
-    has the weight exp((min d - d_k)/τ), with its distance d_k to `a` and the smoothing length τ.
-    The mean moves continuously, because every distance d_k is continuous. If one node is much
-    nearer than the others, this node is the result. If `a` has several convex parts, the normal is
-    the mean of the parts' normals at the resulting point, with weights of the same form for the
-    distances of the parts. This normal is the gradient of a smooth distance, and shorter than 1 in
-    a corner between two parts.
-
-    The nearest point of a flat face can be any of its points. Therefore, on each shape of `b` with
-    flat faces, the points that are nearest to the nodes of `a` are nodes too.
+    Nodes are points of the core, such as the axis of a capsule; "Closest points" in docs/method.md
+    has the formulas. If a capsule is parallel to a face, the library's closest point is one of
+    many, and jumps from one end to the other as the capsule turns. The mean moves continuously,
+    because the distance of each node to `a` is continuous. If one node is much nearer than the
+    others, this node is the result. If `a` has several convex parts, the normal is a mean of the
+    parts' normals, and is shorter than 1 in a corner between two parts. The nearest point of a flat
+    face can be any of its points. Therefore, on each shape of `b` with flat faces, the points that
+    are nearest to the nodes of `a` are nodes too.
 
     Attributes:
-        rows: For each pair: its own row of the results, then those of the parts of `a`, if any.
+        rows: For each pair: the index of its own row in the results of `mean_nearest`, then, if `a`
+            has several convex parts, those of the rows of these parts.
         arrays: Fields of `app.control.inputs.ROBOT`: the constant arguments of `mean_nearest`, and
             the joints of the bodies and of the rows.
     """
@@ -131,7 +129,7 @@ def _mean_nearest(
     work: Array,
     found: Array,
 ) -> None:
-    """Write one row of `mean_nearest` into `found` (4, 3).
+    """Write one row of `mean_nearest` into `found` (4, 3); `work` is scratch memory.
 
     `a` has the shapes of l_a, all or one, and `corners` its nodes; `b`, `nodes` are those of l_b.
     """
@@ -192,9 +190,9 @@ def mean_nearest(
     `bodies` are four arrays of all bodies, one body after the other: (P, 16) rows and (T, 4, 3)
     triangles of `Shapes`; (K, 4) [m] nodes, each with the radius around it; (bodies + 1, 2) index
     of the first shape and of the first node of each body. `sought` (k, 4) has the indices of `a`
-    and `b`, then first and end index of the used shapes of `a`. `placed` (4 bodies, 3) has the pose
-    of each body in the world: three rows of R, then the origin [m]. `blend` [m] is the smoothing
-    length τ.
+    and `b`, then first and end index of the used shapes of `a`. `placed` (4 × bodies, 3) has the
+    pose of each body in the world: three rows of R, then the origin [m]. `blend` [m] is the
+    smoothing length τ.
     """
     rows, triangles, nodes, firsts = bodies
     found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))

@@ -71,7 +71,7 @@ def load_border_data(
 ) -> BorderData:
     """Load the pairs and clouds of a robot, or sample and store them.
 
-    Without `sampling`, the parameters are those of the project's files. The other arguments are
+    Without `sampling`, the parameters are those of the delivered files. The other arguments are
     those of `sample_clouds`. Errors: those of `border_key` and `sample_clouds`.
     """
     sampling = sampling or SamplingConfig()
@@ -94,8 +94,8 @@ def kept_border_data(
 ) -> BorderData | None:
     """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
-    The user's cache has precedence over the project's files. A file of another robot with the same
-    key is valid too. Errors: those of `border_key`.
+    The user's cache has precedence over the delivered files. A file of another robot with the same
+    key is valid too. A warning names each invalid file. Errors: those of `border_key`.
     """
     key = border_key(model.description, sampling or SamplingConfig())
     folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}
@@ -120,8 +120,8 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits.
 
     The key depends on the sampling, and on all data of the robot that determine its pairs and
-    clouds, but not on masses, colours, gains or paths. Raises an AssetError if the URDF or a mesh
-    is missing.
+    clouds, but not on masses, colours, gains or paths. Errors: those of `read_urdf`, and an
+    AssetError if a mesh is missing.
     """
     arm = description.arm
     content = {
@@ -164,8 +164,10 @@ def write(path: Path, data: BorderData, key: str) -> None:
 
 
 def read(path: Path, key: str) -> BorderData:
-    """Read a file, and verify its checksums and its key; a FileNotFoundError or, for an invalid,
-    too large or unreadable file or another key, a DamagedFileError.
+    """Read a file, and verify its checksums, its key and its content.
+
+    Raises a FileNotFoundError if it does not exist, and a DamagedFileError if it cannot be read, is
+    too large, or has another key or an invalid content.
     """
     try:
         # `np.load` would leave an unreadable file open, and would accept a plain array.

@@ -66,9 +66,8 @@ class Border:
     """DBB_i, the border of one pair of arm and base, in the base's frame, sorted by height."""
 
     pair: str
-    d_b: float
-    eps: float
-    """[m] d_b and ε of (3)."""
+    d_b: float  # [m] d_b of (3)
+    eps: float  # [m] ε of (3)
     points: Array  # (N, 3) [m]
 
     def __len__(self) -> int:

@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
-Compiled functions compute the distances of the collision library, for boxes and round shapes fifty
-times faster.
+The distances are those of the collision library. For boxes and round shapes, these compiled
+functions are fifty times faster.
 """
 
 from __future__ import annotations
@@ -26,22 +26,23 @@ class ConvexPart(NamedTuple):
     """One convex shape of l_m, in the base's frame."""
 
     shapes: Shapes  # only this shape
-    lower: Array
-    upper: Array
-    """(3,) [m] corners of the box of `bounds` around the shape."""
+    lower: Array  # (3,) [m] lowest corner of the box of `bounds` around the shape
+    upper: Array  # (3,) [m] highest corner of this box
+
+    @classmethod
+    def of(cls, geometry: coal.CollisionGeometry, placement: pin.SE3) -> ConvexPart:
+        """The part with one shape of coal, placed at `placement` in the base's frame."""
+        return cls(Shapes.of(geometry, placement), *bounds(geometry, placement))
 
 
 class MobileBody:
-    """l_m, a union of convex `parts`; `lower`, `upper` (3,) [m] are corners of their common
-    `bounds`.
-    """
+    """l_m: its convex `parts`; `lower` and `upper` (3,) [m] are corners of a box around them."""
 
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
         # The frame of the planar joint of l_m, on the floor, is the base's frame.
         objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
-        placed = [(each.geometry, each.placement) for each in objects]
-        self.parts = [ConvexPart(Shapes.of(*each), *bounds(*each)) for each in placed]
+        self.parts = [ConvexPart.of(each.geometry, each.placement) for each in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
         self._shapes = Shapes.together([part.shapes for part in self.parts])
@@ -154,13 +155,12 @@ def _reach(triangle: Array, p: float, q: float, r: float) -> float:
     )
 
 
-_Signed = tuple[float, float, float, float]
-"""A signed distance [m] and the three components of its gradient."""
+_Signed = tuple[float, float, float, float]  # a signed distance [m], and its gradient (3)
 
 
 @compiled()
 def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Distance of the point (x, y, z) [m] to a hull; inside the hull, to the nearest plane."""
+    """Signed distance of (x, y, z) [m] to a hull; inside the hull, that to the nearest plane."""
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
         over = _over(triangles[k], x, y, z)
@@ -172,7 +172,8 @@ def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
     u, v, w = _on_triangle(triangles[face], x, y, z, deepest)
     p, q, r = x - u, y - v, z - w
     level, square = p * u + q * v + r * w, p * p + q * q + r * r
-    # Only the few triangles with a corner beyond the plane through (u, v, w) can be nearer.
+    # Only a triangle with a corner beyond the plane through (u, v, w), perpendicular to the line to
+    # (x, y, z), can be nearer.
     for k in range(len(triangles)):
         if _reach(triangles[k], p, q, r) <= level:
             continue
@@ -189,7 +190,7 @@ def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
 
 @compiled()
 def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Distance of (x, y, z) [m] to a shape, in the shape's frame."""
+    """Signed distance of (x, y, z) [m] to a shape, in the shape's frame."""
     if kind == _CAPSULE:
         z_out = z - min(max(z, -size[1]), size[1])
         far = math.sqrt(x * x + y * y + z_out * z_out)
@@ -220,7 +221,9 @@ def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: f
 
 @compiled()
 def nearest_of(shapes: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Signed distance [m] of (x, y, z) [m] to the nearest of `Shapes`, and its gradient (3)."""
+    """Signed distance [m] of (x, y, z) [m] to the nearest shape, and its gradient (3); `shapes` are
+    `Shapes.rows`, `triangles` are `Shapes.triangles`.
+    """
     best = (np.inf, 0.0, 0.0, 0.0)
     for k in range(len(shapes)):
         R, a, b, c = shapes[k, 4:13], x - shapes[k, 13], y - shapes[k, 14], z - shapes[k, 15]

@@ -25,7 +25,6 @@ from app.structs import StructType
 
 _SAME_CORNER = 0.01  # [m] largest distance of two ends that belong to the same corner
 _TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefined
-
 BLOCK = 24  # [-] number of edges in a block of the search; a ring has a whole number of blocks
 Best = tuple[float, complex, complex]
 """Nearest point so far: its distance [m], the point [m] and its unit tangent, both as x + iy."""
@@ -62,7 +61,7 @@ class OffsetContours(NamedTuple):
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """The contour at z [m], or that nearest in height drawn at z, as curves (K, 3) [m]."""
+        """Curves (K, 3) [m] of the contour at z [m]; if there is none, of the nearest one, at z."""
         at = level(self.firsts, self.heights, z)
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
 
@@ -80,22 +79,20 @@ def _pieces(ring: Array, shown: Array) -> list[Array]:
     return [np.column_stack([piece.real, piece.imag]) for piece in pieces]
 
 
-_f8, _c16, _i8 = types.f8, types.c16, types.i8
 _BORDER: dict[str, Any] = {  # first the fields of `OffsetContours`
-    "firsts": types.Array(_i8, 1, "C"),
-    "heights": types.Array(_f8, 1, "C"),
-    "vertices": types.Array(_c16, 2, "C"),
-    "tangents": types.Array(_c16, 2, "C"),
-    "shown": types.Array(_f8, 2, "C"),
-    "spans": types.Array(_f8, 2, "C"),
+    "firsts": types.i8[::1],
+    "heights": types.f8[::1],
+    "vertices": types.c16[:, ::1],
+    "tangents": types.c16[:, ::1],
+    "shown": types.f8[:, ::1],
+    "spans": types.f8[:, ::1],
     "as_points": types.b1,  # whether the points are searched
-    "points": types.Array(_f8, 2, "C"),  # (N, 3) [m] of all pairs, each by ascending height
-    "sampled": types.Array(_i8, 1, "C"),  # (pairs + 1,) first index of each pair, and N
-    "eps": _f8,  # [m] ε of (3)
+    "points": types.f8[:, ::1],  # (N, 3) [m] of all pairs, those of each pair by ascending height
+    "sampled": types.i8[::1],  # (pairs + 1,) first index of each pair in `points`, and N
+    "eps": types.f8,  # [m] ε of (3)
 }
 _Values: Any = NamedTuple("_Values", [(each, Any) for each in _BORDER])  # type: ignore[misc]
-BORDER = StructType("_Values", _BORDER)
-"""The struct of a border, for signatures of compiled functions."""
+BORDER = StructType("_Values", _BORDER)  # the kind of struct of a border
 
 
 @compiled()
@@ -148,7 +145,7 @@ def _search_edges(
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
     """Search the corners of the contour, where one ring's visible part ends and another's begins,
-    for a point nearer to p than `best`; its tangent is perpendicular to the line to p.
+    for a point nearer to p than `best`. Its tangent is perpendicular to the line to p.
     """
     # The two ends differ by the interpolation error; the contour includes the segment between them.
     met = np.zeros(len(corners), np.bool_)
@@ -220,12 +217,12 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
 
 @compiled()
 def nearest_offset(border: Any, at: Array) -> Array:
-    """(2, 3) the point [m] on the contour of a `BORDER` nearest to `at` (3,) [m], and the tangent,
-    a horizontal unit vector with l_m on its left; x and y of both are NaN if there are no contours.
+    """(2, 3) the point [m] on the contour of a `BORDER` nearest to `at` (3,) [m], and the tangent.
 
-    Without a contour at the height of `at`, the contour nearest in height is moved to this height.
-    Blocks of edges are searched in the order of their distance, until the next block is farther
-    than the nearest point.
+    The tangent is a horizontal unit vector with l_m on its left. Without a contour at the height of
+    `at`, the contour nearest in height is moved to this height; without any contour, x and y of
+    point and tangent are NaN. Blocks of edges are searched in the order of their distance, until
+    the next block is farther than the nearest point.
     """
     firsts, heights, vertices = border.firsts, border.heights, border.vertices
     tangents, shown, spans = border.tangents, border.shown, border.spans
@@ -269,10 +266,10 @@ def nearest_sample(
     """FindSameHeight and FindMinDistancePoint: the sampled border point nearest to p (3,) [m].
 
     The pair's border points are those from `first` to `end` - 1 of `points` (N, 3) [m], by
-    ascending height; `eps` [m] is ε of (3). The results are the nearest point (3,) [m] at the
-    height of p; the unit tangent (3,), perpendicular to the line from p to this point, NaN if their
-    distance is at most ε; and whether there are points at this height. If not, the first two are
-    invalid.
+    ascending height; `eps` [m] is ε of (3). The results are the nearest point (3,) [m], moved to
+    the height of p; the unit tangent (3,), perpendicular to the line from p to this point, or NaN
+    if this line is at most ε long; and whether there are points at this height. If there are none,
+    the first two results are invalid.
 
     Paper: Algorithm 3, lines 1 to 4.
     """
@@ -294,9 +291,9 @@ def nearest_sample(
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     """The point (3,) [m] of a `BORDER` nearest to p (3,) [m] at the height of p, and the tangent.
 
-    If the pair with the index `pair` has sampled points at this height, the result is that of
-    `nearest_sample`, with the surface's tangent for NaN, otherwise that of `nearest_offset`. If l_m
-    has no border, x and y of both are NaN.
+    If the border consists of points, and the pair with the index `pair` has some at this height,
+    the result is that of `nearest_sample`; the surface's tangent replaces a NaN. Otherwise the
+    result is that of `nearest_offset`. If l_m has no border, x and y of both are NaN.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -311,7 +308,7 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
 
 
 def border_struct(contours: OffsetContours, borders: Sequence[Border] = ()) -> Any:
-    """A struct `BORDER` for a search of the contours or, if there are `borders`, of their points;
+    """A struct `BORDER` for a search of the contours or, if there are `borders`, of their points.
     `borders` has the border of each pair of arm and base, all for the d_b of the contours.
     """
     points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])

@@ -30,7 +30,7 @@ heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equa
 
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for d_b [m], with l_m's shapes by decreasing size; cached for each model."""
+    """The contours for d_b [m], with shapes by decreasing horizontal size; cached by model."""
     parts = MobileBody(model).parts
     parts.sort(key=lambda part: -float(np.prod((part.upper - part.lower)[:2])))
     traced = [(part, rings) for part in parts if len((rings := _trace_rings(part, d_b))[0])]
@@ -80,8 +80,8 @@ def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
 
 
 def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
-    """Trace the part above the floor of a convex shape's offset at the distance d_b [m], by rays
-    from the shape's centre or, if a slice does not contain it, from the centre of each slice.
+    """Trace a convex shape's offset, at the distance d_b [m] from the shape, above the floor. Rays
+    start at the shape's centre or, if a slice does not contain it, at the centre of each slice.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b).tolist()
@@ -94,9 +94,10 @@ def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
 
 
 class _Tracer:
-    """Follows rays to the boundary of one shape's offset, at each height [m] with a slice of it.
+    """Follows rays to the boundary of one shape's offset at some heights [m].
 
-    A result is the height, the start (2,) [m] of the rays and their lengths (RAYS,) [m].
+    For each height with a slice of the offset, the result has the height, the start (2,) [m] of the
+    rays and their lengths (RAYS,) [m].
     """
 
     def __init__(self, part: ConvexPart, d_b: float) -> None:
@@ -104,7 +105,7 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: list[float]) -> list[tuple[float, Array, Array]] | None:
-        """From the shape's centre, trace each height with a slice; None if a slice excludes it."""
+        """Trace each height from the shape's centre; None if the centre is outside of a slice."""
         found, ends = [], np.full(RAYS, -np.inf)
         for z in heights:
             ends = self._ends(self._middle, z, ends)
@@ -143,8 +144,8 @@ class _Tracer:
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | float = -np.inf) -> Array:
-        """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z; −inf without a hit. The
-        finite numbers of `start` are the initial estimates.
+        """(RAYS,) [m] lengths of the rays from `centre` (2,) at height z to the far side of the
+        offset; −inf without a hit. The finite numbers of `start` are the initial estimates.
         """
         part, origin, ends = self._part, np.array([*centre, z]), np.full(RAYS, -np.inf)
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
@@ -168,8 +169,8 @@ class _Tracer:
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
-    """(H,) [m] the heights at which a shape's offset is traced, at most 10 mm apart beside the
-    shape, along the arc above it and, if it is high above the floor, along the arc below it.
+    """(H,) [m] the heights at which a shape's offset is traced: beside the shape, along the arc
+    above it and, if it is high above the floor, along the arc below it; at most 10 mm apart there.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

@@ -64,9 +64,7 @@ class Chain:
         self.free = len(joints) - self.coordinates
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
-        """The body's pose T_base_point at q (k,), and its Jacobian (6, k) in its axes, linear
-        first.
-        """
+        """The body's pose T_base_point at q (k,), and its Jacobian (6, k) in axes of the body."""
         J = pin.computeJointJacobians(self.pin, self._data, q)
         at = self._data.oMi[len(self.joints)] * self._placement
         return at, at.inverse().action @ J
@@ -89,7 +87,7 @@ class Chain:
         return rng.uniform(*self.ranges)
 
     def _meets(self, numbers: int) -> bool:
-        """Whether the first `numbers` rows of the Jacobian are independent at one of 4 postures."""
+        """Whether the first `numbers` rows of the Jacobian are independent in any of 4 postures."""
         rng = np.random.default_rng(0)
         tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(4))
         ranks = (np.linalg.matrix_rank(J[:numbers], tol=1e-6) for _, J in tried)  # [m/rad or -]
@@ -111,9 +109,10 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Redundant joints, as indices in the chain and as near to the body as possible: if they are
-    fixed, a pose determines the others. A DescriptionError if the others' Jacobian is always
-    singular.
+    """Redundant joints, as indices in the chain: if they are fixed, a pose determines the others.
+
+    They are as near to the body as possible. Raises a DescriptionError if the Jacobian of the
+    others is singular for each choice of fixed joints.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(20)]
@@ -129,7 +128,7 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
 
 PEAK = 100.0  # [-] largest mean reachability in a shell around the mount: the paper's C
 FINE_SAMPLES, FINE_SPACING = 200_000, 0.05
-"""[-] number of joint positions and [m] spacing of the lattice of `dbb reach`; A's error is 1 %."""
+"""[-] number of joint positions and [m] spacing of `dbb reach`; the error of A is about 1 %."""
 _ORIENTATIONS = {6: 8 * np.pi**2, 5: 4 * np.pi, 3: 1.0}
 """[-] volume of the orientations of a pose, by its number of coordinates: 6 for all orientations, 5
 for directions, 3 for positions without orientation."""
@@ -209,13 +208,12 @@ def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
     try:
         return fit_parabola(reach_map.rho, reach_map.reach, share)
     except ValueError as error:
-        raise DescriptionError(
-            f"{reach_map.body}: (9) does not fit the reachability map: {error}"
-        ) from None
+        text = f"{reach_map.body}: (9) does not fit the reachability map: {error}"
+        raise DescriptionError(text) from None
 
 
 def lattice(radius: float, spacing: float) -> Array:
-    """(N, 3) int16 steps to the points of a cubic lattice in a ball; lengths in the same unit."""
+    """(N, 3) int16 steps from the centre of a ball to the points of a cubic lattice in the ball."""
     reach = int(np.ceil(radius / spacing))
     along = np.arange(-reach, reach + 1)
     steps = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)

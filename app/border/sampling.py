@@ -35,11 +35,9 @@ class SamplingConfig(Strict):
     """[-] number of random joint positions per pair; those in range start the flood of P_i."""
     d_low: float = Field(default=0.03, ge=0.0, le=0.3)  # [m] smallest distance d_m of P_i
     d_high: float = Field(default=0.32, ge=0.05, le=0.6)  # [m] largest distance d_m of P_i
-    voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)
-    """[m] horizontal side of a voxel; P_i has at most one point in each voxel."""
+    voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)  # [m] horizontal side of a voxel
     voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)  # [m] height of a voxel
-    sectors: int = Field(default=16, ge=1, le=64)
-    """[-] number of sectors around the base's centre that are flooded separately."""
+    sectors: int = Field(default=16, ge=1, le=64)  # [-] number of sectors around the base's centre
     rounds: int = Field(default=4, ge=1, le=16)
     """[-] number of floods of a sector; the second and later floods start at the borders to the
     neighbouring sectors."""
@@ -69,13 +67,14 @@ def sample_clouds(
 ) -> dict[str, Cloud]:
     """P_i of Algorithm 1 by the name of the pair, for `pairs` of arm and base: sampled points.
 
-    The points are closest points on the arm's body, one per voxel. Random sampling alone finds
-    almost no points at the base's sides; therefore floods follow. A posture must satisfy the joint
-    limits, and its distance must be in the sampled range; collisions of other pairs are allowed.
+    The points are closest points on the arm's body, at most one per voxel. Random sampling alone
+    finds almost no points at the base's sides; therefore floods follow. The postures satisfy the
+    joint limits, with distances in the sampled range; collisions of other pairs are allowed.
 
     `progress` displays a progress bar on standard error. `on_progress` is called with the share of
-    the work that is done. `processes` is the number of parallel processes, by default one for each
-    usable core. Raises a DescriptionError if the base is too large for the stored points.
+    the work that is done, 0 to 1. `processes` is the number of parallel processes, by default one
+    for each usable core; it has no effect on the result. Raises a DescriptionError if the base is
+    too large for the stored points.
     """
     make_context = partial(Context, model.description, config)
     children = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -111,15 +110,15 @@ def _flood_jobs(
     found: Mapping[Pair, Kept],
     kept: Mapping[Pair, Kept],
 ) -> list[SectorJob]:
-    """A job for each sector and pair with an open voxel at or next to a posture of `found`; after
-    the first flood, which fills `kept`, postures of the sector itself do not count.
+    """A job for each sector and pair with an open voxel at or next to a posture of `found`. After
+    the first flood, only postures of other sectors count. `kept` are results of previous floods.
     """
     jobs = []
     for pair, seed in seeds.items():
         taken, given = voxels.keys(voxels.cells(kept[pair].points)), found[pair]
         free = np.ones(voxels.count, dtype=bool)
         free[taken] = False
-        around = voxels.keys(voxels.cells(given.points)[:, None, :] + _AROUND)
+        around = voxels.keys(voxels.cells(given.points)[:, None, :] + AROUND)
         sectors = np.where((around >= 0) & free[around], voxels.sectors(around), -1)
         if len(taken):  # a sector has already used its own postures
             sectors[sectors == voxels.sectors(around[:, :1])] = -1
@@ -241,8 +240,8 @@ class _Flood:
     def run(self, sources: Array) -> Witnesses:
         """Flood the open voxels from postures (N, n_m): one posture for each voxel that is reached.
 
-        In up to `retries` + 1 attempts, one posture of a batch steps into each open voxel beside
-        the batch.
+        For each open voxel next to a batch of postures, up to `retries` + 1 times, one posture of
+        the batch makes a step into the voxel.
         """
         found = self._reader.witnesses(sources)
         accepted = [self._accepted(found)]
@@ -267,8 +266,9 @@ class _Flood:
         return _rows(found, fresh)
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
-        """Step into the open voxels probably in range, each from the first posture beside it."""
-        cells = self._voxels.neighbours(self._voxels.cells(quantise_points(found.p_b)))
+        """Step into each open voxel that is probably in range, from the first posture beside it."""
+        here = self._voxels.cells(quantise_points(found.p_b))
+        cells = here[:, None, :] + AROUND[1:]
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - found.p_b[:, None]
         ahead = found.d[:, None] + (step * found.normal[:, None]).sum(axis=2)
@@ -321,9 +321,9 @@ def _rows(columns: Columns, which: Array | slice) -> Columns:
     return type(columns)(*(column[which] for column in columns))
 
 
-_AROUND = np.array(
+AROUND = np.array(
     [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
-)  # a voxel, and those that share a face with it
+)  # steps from a voxel to itself and to the six that share a face with it
 
 
 class Voxels:
@@ -335,10 +335,8 @@ class Voxels:
         self, lower: Array, upper: Array, *, reach: float, size: Array, sectors: int
     ) -> None:
         """Create the grid up to the distance `reach` [m] from the box with the corners `lower` and
-        `upper` (3,) [m], with voxels of the sides `size` (3,) [m] and equal `sectors` around the
-        base's centre.
-
-        Raises a DescriptionError if the base is too large for int16 points.
+        `upper` (3,) [m]. A voxel has the sides `size` (3,) [m]. Around the base's centre are
+        `sectors` equal sectors. Raises a DescriptionError if the base is too large for int16.
         """
         low, high = lower - reach, upper + reach
         if max(np.abs(low).max(), np.abs(high).max()) > dbb.POINT_RANGE:
@@ -350,8 +348,7 @@ class Voxels:
         self._size = np.rint(size / POINT_UNIT).astype(int)
         self._origin = np.floor(low / POINT_UNIT / self._size).astype(int) * self._size
         span = np.ceil(high / POINT_UNIT).astype(int) - self._origin
-        self.shape = np.maximum(-(-span // self._size), 1)
-        """(3,) number of voxels along x, y and z."""
+        self.shape = np.maximum(-(-span // self._size), 1)  # (3,) voxels along x, y and z
         self.count, self.sector_count = int(self.shape.prod()), sectors
         # Turned by half a sector: if 4 divides `sectors`, no edge of a sector is on the wheel axis.
         x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
@@ -367,10 +364,6 @@ class Voxels:
         inside = ((cells >= 0) & (cells < self.shape)).all(axis=-1)
         nx, ny, _ = self.shape
         return np.where(inside, (cells[..., 2] * ny + cells[..., 1]) * nx + cells[..., 0], -1)
-
-    def neighbours(self, cells: Array) -> Array:
-        """(N, 6, 3) the cells that share a face with each cell (N, 3)."""
-        return cells[:, None, :] + _AROUND[1:]
 
     def centres(self, cells: Array) -> Array:
         """(…, 3) [m] centre of each cell (…, 3)."""

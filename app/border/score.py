@@ -82,8 +82,8 @@ class ScoreField:
 
 @compiled()
 def field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
-    """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m], from `ScoreField.coefficients`. ∇R
-    counts as 0 at the mount, where it is undefined.
+    """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m], from `ScoreField.coefficients`.
+    At the mount, where ∇R is undefined, it counts as 0.
     """
     constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
     A, B, C = coefficients[6], coefficients[7], coefficients[8]
@@ -127,7 +127,7 @@ class RadialProfile:
         return int(np.argmax(np.where(enough, self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
-        """The range [m] around the peak with means of at least `share` [-] of the peak's mean."""
+        """The range [m] around the peak in which each mean is at least `share` times the peak's."""
         peak = self.peak()
         low = np.flatnonzero(~(self.mean >= share * self.mean[peak]))  # also shells without values
         first = low[low < peak].max(initial=-1) + 1
@@ -155,12 +155,12 @@ class ReachFit(NamedTuple):
     B_m: float
     C: float
     r_squared: float
-    """[-] share of the variance of the shells' means (weighted by count) that (9) explains."""
+    """[-] share of the variance of the shells' means that (9) explains; the number of positions in
+    a shell is the weight of its mean."""
     rms: float  # [-] root mean square of the residuals of the shells' means, with the same weights
     r_squared_positions: float  # [-] share of the variance of single positions that (9) explains
-    rho_min_m: float
-    rho_max_m: float
-    """[m] smallest and largest fitted distance."""
+    rho_min_m: float  # [m] smallest fitted distance
+    rho_max_m: float  # [m] largest fitted distance
     points: int  # number of fitted positions
 
     def at(self, rho: Array) -> Array:
@@ -171,10 +171,10 @@ class ReachFit(NamedTuple):
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Fit (9) by least squares to positions at distances rho (N,) [m] from the arm's mount.
 
-    `reach` (N,) [-] is the reachability of each position. The fit uses the best shell, and the
-    shells on both sides of it up to the first one whose mean is below `share` [-] of the best.
-    Raises a ValueError if these have fewer than four different distances, or if the parabola has no
-    maximum at a positive distance.
+    `reach` (N,) [-] is the reachability of each position. The fit uses the positions in the best
+    shell, and in the shells on both sides of it up to the first one, which is left out, whose mean
+    is below `share` [-] of the best mean. Raises a ValueError if these positions have fewer than
+    four different distances, or if the parabola has no maximum at a positive distance.
 
     Paper: Eq. (9).
     """

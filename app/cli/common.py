@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 
 def load_model(robot: str) -> RobotModel:
-    """Load the model of a robot by its name."""
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
@@ -51,12 +50,11 @@ def show(text: str) -> None:
 
 
 def print_json(result: object) -> None:
-    """Print the `json_text` of a result on standard output."""
     print(json_text(result))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool, indent: str = "") -> None:
-    """Print a command's results: with `json` as one JSON object, otherwise one on each line."""
+    """Print results: with `json` as one JSON object, otherwise as lines that `indent` precedes."""
     if json:
         print_json(result)
         return
@@ -82,7 +80,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 
 
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
-    """The run that `word` names: a scenario by its name, or a case by its file."""
+    """The run of the scenario or the case file `word`; `setup` has values for `Setup`."""
     if is_case(word):
         return spec_of_case(Path(word), setup, word, config=config)
     return spec_of_scenario(word, setup, config)
@@ -104,19 +102,19 @@ def spec_of_scenario(
 
 
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
-    """The run of a case; prints changes of version and parameters since the case was written.
+    """The run of a case; prints the `RunCase.differences` of the case.
 
-    `setup` can replace controller and plant. A robot or a seed in `setup`, or an option in `others`
-    that is not None, raises the ConfigError of `check_no_others`, whose argument `case` is `word`.
-    An unreadable or invalid file raises a CaseError.
+    `setup` can replace controller and plant. `check_no_others` refuses a robot and a seed in
+    `setup`, and the options `others`; its error message calls the case `word`. An unreadable or
+    invalid file raises a CaseError.
     """
     check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
     case = read_case(file)
     for difference in case.differences():
         say(difference)
     run = case.spec()
-    own = {name: getattr(run, name) for name in Setup.__dataclass_fields__}
-    return run._replace(**asdict(Setup(**own | setup)))
+    own = {each.name: getattr(run, each.name) for each in fields(Setup)}
+    return run._replace(**asdict(Setup(**(own | setup))))
 
 
 def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
@@ -139,7 +137,7 @@ def filmed(
 
 
 def is_case(word: str) -> bool:
-    """Whether a word names a case's file (.json), not a scenario; else an UnknownNameError."""
+    """True for the file of a case (.json), False for a scenario; else raises UnknownNameError."""
     if word.lower().endswith(".json"):
         return True
     check_name("scenario", word, SCENARIOS)
@@ -147,21 +145,20 @@ def is_case(word: str) -> bool:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Raise a ConfigError for the first option that is not None, because a case already sets it.
+    """Raise a ConfigError for the first option that is not None: a case already sets this option.
 
-    `border` and `buffer_distance` are allowed: they override the case. `case` names the case in the
-    message: the option `--case`, or the file.
+    `border` and `buffer_distance` are allowed: they override the case. The message calls the case
+    `case`: this is the option `--case`, or the file.
     """
     for name, value in options.items():
         if value is not None and name not in ("border", "buffer_distance"):
             option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ConfigError(
-                f"{option}: {case} already sets this option; remove the option or the case"
-            )
+            reason = f"{case} already sets this option; remove the option or the case"
+            raise ConfigError(f"{option}: {reason}")
 
 
 def trace_of(path: Path) -> Trace:
-    """Read the trace of a log or, for the file of a case (.json), execute the run of the case."""
+    """The trace of a log or, for the file of a case (.json), of a new run of the case."""
     from app.simulation.trace.log_file import read_trace
 
     if path.suffix.lower() != ".json":

@@ -13,20 +13,19 @@ import textwrap
 from contextlib import suppress
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from app.errors import DbbError, check_name, extras_named, printable
 from app.jobs.progress import ending_signals_raised
 from app.system import open_standard_files, set_missing_folders
 
-COMMANDS = {
+COMMANDS = {  # the commands by topic, each with the module that defines its function
     "Runs and pictures": {"serve": "serve", "run": "run"}
     | dict.fromkeys(("screenshot", "film", "report", "replay"), "pictures"),
     "The method": dict.fromkeys(("pairs", "border", "reach", "config", "bench"), "method"),
     "Many runs": dict.fromkeys(("reproduce", "sweep", "study"), "many"),
     "Robots": dict.fromkeys(("robots", "new-robot", "check-robot"), "robots"),
 }
-"""The commands by topic, each with the module that defines its function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _NARROWEST = 40  # [-] smallest number of columns of a help text
 
@@ -55,7 +54,7 @@ def console() -> NoReturn:
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run a command line, default `sys.argv[1:]`; an error is printed and becomes a SystemExit."""
+    """Run a command line, by default `sys.argv[1:]`; exit after an error, except after a defect."""
     open_standard_files()
     set_missing_folders()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's backend needs a library of the notebook
@@ -101,7 +100,7 @@ class _Plain(logging.Formatter):
 
 
 def _run(words: list[str]) -> None:
-    """Run a command; the modules of other commands are not imported."""
+    """Run a command line without an import of the modules of other commands."""
     if not words:
         sys.stderr.write(overview())
         sys.exit(2)
@@ -125,12 +124,12 @@ def _run(words: list[str]) -> None:
         scenario, function, rest = module.choose_run(rest)
         name = f"{name} {scenario}".strip()
     function.__doc__, description = _help_texts(function.__doc__ or "")
-    about: Any = {"prog": f"dbb {name}", "description": description}
-    tyro.cli(function, args=rest, config=(tyro.conf.DisallowNone,), **about)
+    marks = (tyro.conf.DisallowNone,)
+    tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, config=marks)
 
 
 def _help_texts(doc: str) -> tuple[str, str]:
-    """`doc` with each argument's text on one line; its description, filled to the terminal's width.
+    """`doc` with each argument's text on one line; the text before the arguments, with line breaks.
 
     tyro joins lines that begin with a letter; therefore all lines after the first are indented.
     """

@@ -17,15 +17,12 @@ from app.strict import check_range
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
+_FIGURES = tyro.conf.arg(metavar="[FIGURE …]", help_behavior_hint="")
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
 
 
 def reproduce(
-    figures: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="[FIGURE …]", help_behavior_hint=""),
-    ] = (),
+    figures: Annotated[tuple[str, ...], tyro.conf.Positional, _FIGURES] = (),
     *,
     out: Path = Path("out/reproduction"),
     seed: int = 0,
@@ -72,13 +69,14 @@ def sweep(
 
     There are three kinds of paths: horizontal paths to the middle of the base's bounding box,
     horizontal paths parallel to the wheel axis and, with --above, vertical paths down onto the
-    base. Each path starts outside all buffers, at --start-distance or, if the arm cannot reach it,
-    at another distance. A path without a start is listed as unreachable. At the start of a path
-    parallel to the wheel axis, x of the arm's closest point is 0, ±1, ±10 or ±50 mm (base's frame).
+    base. Each path starts outside all buffers, at --start-distance or, if the arm does not reach
+    this start, at another distance. The output lists a path without a start as unreachable. At the
+    start of a path parallel to the wheel axis, the arm's closest point has the x coordinate 0, ±1,
+    ±10 or ±50 mm in the base's frame.
 
     Args:
         out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed; with
-            --above, a PNG of the paths from above for each speed too.
+            --above, also a PNG of the vertical paths for each speed.
     """
     if "controllers" in plan:
         plan["controllers"] = [name for name in ",".join(plan["controllers"]).split(",") if name]

@@ -63,7 +63,7 @@ def border(
     """Load or sample the border of each pair of arm and base (§2.2).
 
     Args:
-        out: Folder for a CSV file of each pair with the border's points in the base's frame [m].
+        out: Folder for a CSV file of each pair: the border's points in the base's frame [m].
         seed: Seed of the sampling; a different seed gives different points.
     """
     config = options.configured(robot, None, parameters, _OF_BORDER).border
@@ -80,7 +80,8 @@ def border(
     loaded = perf_counter()
     borders = [construct_dbb(cloud, config.d_b, config.eps) for cloud in data.clouds.values()]
     selected = perf_counter()
-    body, about = MobileBody(model), {}
+    body = MobileBody(model)
+    about: dict[str, Any] = {}
     for each in borders:
         if out is not None:
             _write_csv(out / f"{each.pair}.csv", "x_m,y_m,z_m", each.points, "%.4f")
@@ -94,7 +95,7 @@ def border(
             "lowest_m": min(heights, default=None),
             "highest_m": max(heights, default=None),
         }
-    result: dict[str, Any] = {
+    result = {
         "robot": robot,
         "seed": seed,
         "buffer_distance_m": config.d_b,
@@ -119,16 +120,16 @@ def reach(
     R is computed for each position p of a lattice around the arm's mount. p is the position of a
     frame: for the body lEE, of the end-effector's frame; for another body, of the frame of the
     body's first shape. The pose of this frame has six coordinates if the joints can change six
-    independently, or else five (position, direction of the z axis), or else three (position). R is
-    the mean number of inverse kinematics solutions for these poses within the joint limits and
-    without self-collision, up to a constant factor. R is computed from random joint positions by
-    the area formula: it is the sum of |det J| over the joint positions that lead to a cell of the
-    lattice. J is the square Jacobian of the pose; it has no columns for redundant joints, as if
-    these were fixed at their random positions. Then the mean of R is computed in spherical shells
+    independently, or else five (position, direction of the z axis), or else three (position). R is,
+    up to a constant factor, the mean number of inverse kinematics solutions within the joint limits
+    and without self-collision for the poses at p. R is computed from random joint positions by the
+    area formula: it is the sum of |det J| over the joint positions that lead to the lattice's cell
+    at p. J is the square Jacobian of the pose; it has no columns for redundant joints, as if these
+    were fixed at their random positions. Then the mean of R is computed in spherical shells
     around the mount, each for an interval of ρ = ‖p − p_base‖. R is scaled so that the largest of
-    these means is 100. The fit of (9) uses all positions in the best shell and in the shells around
-    it with a mean of at least 5. The fitted A depends on the end-effector's frame, on this scale,
-    and on the lower bound 5; the paper does not state these.
+    these means is 100. The fit of (9) uses all positions in the best shell and, on both sides of
+    it, in all shells before the first one with a mean below 5. The fitted A depends on the
+    end-effector's frame, on this scale, and on the lower bound 5; the paper does not state these.
 
     Args:
         body: A body that at least three joints move, such as lEE or l3; `all` selects all of them.
@@ -152,7 +153,7 @@ def reach(
 
 
 def _reach_of(name: str, model: RobotModel, seed: int, out: Path | None) -> dict[str, Any]:
-    """The results for a body; writes the body's two files into the folder `out`, if any."""
+    """The results for a body; also writes the body's two files if there is a folder `out`."""
     import numpy as np
 
     from app.border import reach as maps
@@ -165,8 +166,8 @@ def _reach_of(name: str, model: RobotModel, seed: int, out: Path | None) -> dict
         shells = radial_profile(found.rho, found.reach)
         fitted = fit.at(shells.rho_m)
         columns = shells.rho_m, shells.mean, shells.spread, fitted, shells.count
-        head, file = "rho_m,mean,spread,fit,positions", out / f"reach-{name}-radial.csv"
-        _write_csv(file, head, np.column_stack(columns), "%.6g")
+        rows, header = np.column_stack(columns), "rho_m,mean,spread,fit,positions"
+        _write_csv(out / f"reach-{name}-radial.csv", header, rows, "%.6g")
         rows = np.column_stack([found.points, found.rho, found.reach, found.found])
         _write_csv(out / f"reach-{name}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", rows, "%.6g")
     description = model.description
@@ -186,7 +187,7 @@ def _reach_of(name: str, model: RobotModel, seed: int, out: Path | None) -> dict
 
 
 def _write_csv(path: Path, header: str, rows: Array, form: str) -> None:
-    """Write rows as a CSV file, without those that have a NaN."""
+    """Write the rows without a NaN as a CSV file; `form` is the format of a number."""
     import numpy as np
 
     known = rows[~np.isnan(rows).any(axis=1)]

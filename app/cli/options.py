@@ -8,7 +8,7 @@ import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
-from types import NoneType
+from types import MappingProxyType, NoneType
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import tyro
@@ -33,30 +33,27 @@ ConfigOption = Annotated[
     Path | None,
     NO_DEFAULT,
     tyro.conf.arg(
-        help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
-        "are not in the file have the robot's defaults. Options of this command that set "
-        "parameters, if it has any, override the file."
+        help="TOML file of parameters, written by `dbb config` or the dashboard; all other "
+        "parameters have the robot's defaults. Options that set parameters override the file."
     ),
 ]
 Processes = Annotated[
     int | None,
-    tyro.conf.arg(
-        help="Number of parallel processes.",
-        help_behavior_hint="(default: 2, or 1 on a single core)",
-    ),
+    NO_DEFAULT,
+    tyro.conf.arg(help="Number of parallel processes; default: 2, or 1 on a single core."),
 ]
 
-FORMERLY = {
+FORMERLY = {  # former names of options, which are still valid, with the present names
     "--delay": "--base-delay",
     "--noise": "--encoder-noise",
     "--base-speed": "--v-max",
     "--strength": "--hand-f-max",
     "--replay-case": "--case",
 }
-"""Former names of options, which are still valid, and the present names."""
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
+# Names of options that set a parameter, each with the parameter's path:
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
-"""Names of options that set a parameter, each with the parameter's path."""
+_TEXTS = "--title", "--licence"  # options with free text: a `~` in it is not a folder
 
 _METAVARS = {  # placeholders of values in the help, by the name of the field
     "allow_host": "NAME",
@@ -86,13 +83,13 @@ def from_record(
     *,
     only: Collection[str] | None = None,
     leave: Collection[str] = (),
-    names: Mapping[str, str] | None = None,
+    names: Mapping[str, str] = MappingProxyType({}),
     positional: str = "",
 ) -> Any:
     """The second argument of `Annotated[Given, …]`: a command's options, one for each field.
 
     The command gets a dictionary with the values of only the options that the user set. `record`
-    is a dataclass or pydantic record, a dataclass instance with the defaults, or a dictionary of
+    is a dataclass or pydantic class, a dataclass instance with the defaults, or a dictionary of
     `Field`s. `only` has the names of the included fields (None: all fields), `leave` those of the
     excluded fields. `names` maps a field to its option if their names differ. The field
     `positional` becomes a positional argument.
@@ -103,13 +100,18 @@ def from_record(
             continue
         needed, metavar = about.default is MISSING, name.upper() if positional == name else None
         hint = "(required)" if needed else f"(default: {_text(about.default)})"
-        hint = "" if about.default in (None, (), "") else hint
         if get_origin(about.kind) is tuple:
             usual = {2: "LOW HIGH", 3: "X Y Z"}.get(len(get_args(about.kind)))
             metavar = _METAVARS.get(name, usual)
-        look: Any = {"metavar": metavar, "help": about.help, "help_behavior_hint": hint}
-        kind: Any = Annotated[about.kind, tyro.conf.arg(name=(names or {}).get(name, name), **look)]
-        kind = tyro.conf.Positional[kind] if positional == name else kind
+        look = tyro.conf.arg(
+            name=names.get(name, name),
+            metavar=metavar,
+            help=about.help,
+            help_behavior_hint="" if about.default in (None, (), "") else hint,
+        )
+        kind: Any = Annotated[about.kind, look]
+        if positional == name:
+            kind = tyro.conf.Positional[kind]
         kinds[name] = Required[kind] if needed else kind
     options = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
     return tyro.conf.arg(name="", constructor=options)
@@ -202,7 +204,7 @@ def configured(
 
 
 def read(file: Path | None, usual: Config | None = None) -> NamedConfig:
-    """Read the file of `--config`; without a file, the result has `usual` or else the defaults."""
+    """Read the file of `--config`, if any; all other parameters are those of `usual` or default."""
     try:
         return read_config(file, usual) if file else NamedConfig("", usual or Config())
     except ConfigError as error:
@@ -225,12 +227,11 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
 
 
 def check_seed(seed: int) -> None:
-    """Check that all generators of random numbers accept a seed."""
     check_range("--seed", seed, 0, MAX_SEEDS)
 
 
 def check_processes(processes: int | None) -> int:
-    """The requested number of processes, or the default: two, or one on a single core."""
+    """The requested number of processes, 1 to 64, or the default: two, or one on a single core."""
     if processes is not None:
         check_range("--processes", processes, 1, 64)
     return processes or min(2, usable_cores())  # each further process needs 0.5 GB
@@ -239,20 +240,21 @@ def check_processes(processes: int | None) -> int:
 def in_order(words: Iterable[str]) -> list[str]:
     """The words of a command line with the present names of options, and one merged `--allow-host`.
 
-    The home folder replaces `~` at the start of a value, because a shell leaves `--out=~/a`. If
-    another option appears several times, this raises a ConfigError: only the last would count.
+    The home folder replaces `~` at the start of a value, because a shell leaves `--out=~/a`; the
+    values of `_TEXTS` are unchanged. If another option than `--allow-host` appears several times,
+    this raises a ConfigError: only the last would count.
     """
     before: list[str] = []
     groups: dict[str, list[list[str]]] = {}  # each option with its values
-    group = before
+    group, name = before, ""
     for word in words:
-        name, sign, value = word.partition("=")
-        if name.startswith("--"):
-            name = FORMERLY.get(name, name)
-            group = [name + sign + os.path.expanduser(value)]
+        head, sign, value = word.partition("=")
+        if head.startswith("--"):
+            name = FORMERLY.get(head, head)
+            group = [name + sign + (value if name in _TEXTS else os.path.expanduser(value))]
             groups.setdefault(name, []).append(group)
         else:
-            group.append(os.path.expanduser(word))
+            group.append(word if name in _TEXTS else os.path.expanduser(word))
     for name, each in groups.items():
         once = [name, *(v for head, *rest in each for v in (*head.split("=", 1)[1:], *rest))]
         if name == "--allow-host":
@@ -266,7 +268,7 @@ def in_order(words: Iterable[str]) -> list[str]:
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Check the file of an option before the work, and make its folder; None is valid.
+    """Check an option's output file before the work, and make its folder; None is valid.
 
     If `path` does not end in one of `suffixes` or is not writable, this raises an OutputError.
     """

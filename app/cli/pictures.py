@@ -18,12 +18,11 @@ from app.dashboard.export import Look
 from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.case import RunSpec
+from app.simulation.scenarios.line import Point
 from app.strict import check_range
 from app.system import whole_file, write_whole
 
-Place = Annotated[
-    tuple[float, float, float] | None, options.NO_DEFAULT, tyro.conf.arg(metavar="X Y Z")
-]
+_BESIDE = tyro.conf.arg(metavar="CONTROLLER …", help_behavior_hint="")
 
 
 def screenshot(
@@ -76,8 +75,6 @@ def screenshot(
 
 @dataclass(frozen=True)
 class Filming:
-    """Options of a film."""
-
     rate: float = 25.0
     """[1/s] frame rate of the film."""
     speed: float = 1.0
@@ -85,10 +82,14 @@ class Filming:
     orbit: float = 0.0
     """[deg/s] angular speed of the camera around the robot, per second of the film."""
     span: tuple[float, float] | None = None
-    """[s] start and end of the filmed part; default: the whole scenario."""
+    """[s] start and end of the filmed part of the scenario; default: the whole scenario."""
     side_by_side: bool = False
     """Draw the robot of each controller of --beside in its own view, left of the main view, not as
     a ghost."""
+    start: Point | None = None
+    """[m] start of the end-effector in the world; default: that of the scenario."""
+    move: Point | None = None
+    """[m] displacement of the end-effector in the world; default: that of the scenario."""
     codec: str = ""
     """Codec of the film: h264 (default) or h265 for .mp4; vp9 (default) or vp8 for .webm."""
 
@@ -102,13 +103,9 @@ def film(
     scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
     *,
     out: Path,
-    beside: Annotated[
-        tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER …", help_behavior_hint="")
-    ] = (),
+    beside: Annotated[tuple[str, ...], _BESIDE] = (),
     filming: Annotated[options.Given, options.from_record(Filming)],
     picture: Annotated[options.Given, options.from_record(Look, leave=("page", "pair"))],
-    start: Place = None,
-    move: Place = None,
     setup: options.SetupOptions,
     config: options.ConfigOption = None,
     json: options.Json = False,
@@ -121,8 +118,6 @@ def film(
         out: The file, which ends in .mp4, .webm, .webp (animated) or .gif.
         beside: Controllers for comparison; their robots appear as ghosts, or in views of their own
             with --side-by-side.
-        start: [m] start of the end-effector in the world; default: that of the scenario.
-        move: [m] displacement of the end-effector in the world; default: that of the scenario.
     """
     from app.dashboard.export.offscreen import CODECS
 
@@ -137,7 +132,7 @@ def film(
     codec = how.codec or next(iter(codecs))
     check_name(f"--codec of {out.suffix}", codec, codecs)
     asked = common.spec_named(scenario, setup, config)
-    asked = asked._replace(scenario=asked.scenario.changed(start=start, move=move))
+    asked = asked._replace(scenario=asked.scenario.changed(start=how.start, move=how.move))
     result = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     result |= _film(asked, beside, how, codec, look, out)
     common.print_json(result) if json else print(out)
@@ -159,14 +154,14 @@ def _film(
         model, data = common.load_robot_and_border(asked.robot)
         runs = [asked, *(asked._replace(controller=name) for name in beside)]
         found = [common.filmed(run, model, data, times) for run in runs]
-        scene = times, model, data.clouds, look, math.radians(how.orbit) / how.rate
+        scene, orbit = (times, model, data.clouds, look), math.radians(how.orbit) / how.rate
         if how.side_by_side:
             framed, robots = [*chain.from_iterable(found)], (*found[1:], found[0])
-            films = [film_pictures(browser, each, *scene, framed) for each in robots]
+            films = [film_pictures(browser, each, *scene, orbit, framed=framed) for each in robots]
             pictures = (side_by_side(each) for each in zip(*films, strict=True))
         else:
             shown = with_ghosts(found[0], found[1:])
-            films = [pictures := film_pictures(browser, shown, *scene)]
+            films = [pictures := film_pictures(browser, shown, *scene, orbit)]
         with progress_bar(out.name, len(times)) as on_progress, ExitStack() as stack:
             for each in films:
                 stack.enter_context(closing(each))
@@ -208,8 +203,8 @@ def replay(
     with progress_bar(out.name, 1.0) as on_progress:
         page = replay_html(read, model, data.clouds, look, on_progress=on_progress)
     write_whole(out, page)
-    about = {"page": str(out), "scenario": read.meta.scenario, "robot": read.meta.robot}
-    result = {**about, "duration_s": duration, "size_bytes": out.stat().st_size}
+    result = {"page": str(out), "scenario": read.meta.scenario, "robot": read.meta.robot}
+    result |= {"duration_s": duration, "size_bytes": out.stat().st_size}
     common.print_json(result) if json else print(out)
 
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from app.onboarding.record import NewRobot
 
 _NAMES = {"d_b": "buffer_distance"}
-_OF_CHECK = {"buffer_distance": "border.d_b"}
 _GEOMETRY = ("wheel_radius_m", "half_track_m", "wheelbase_m", "steering_limit_rad")
 _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-"}
 
@@ -61,7 +60,7 @@ def robots(json: Json = False) -> None:
 
 def check_robot(
     name: Annotated[options.Robot, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
-    parameters: Annotated[Given, options.parameter_options(_OF_CHECK)],
+    parameters: Annotated[Given, options.parameter_options({"buffer_distance": "border.d_b"})],
     *,
     runs: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: yes)")] = True,
     quick: Flag = False,
@@ -82,7 +81,7 @@ def check_robot(
     from app.border.sampling import QUICK
     from app.robot.description import load_robot
 
-    config = options.configured(name, None, parameters, _OF_CHECK)
+    config = options.configured(name, None, parameters)
     description = load_robot(name).model_copy(update={"config": config})
     from app.onboarding import check
 
@@ -129,16 +128,17 @@ def new_robot(
 
     sampling = QUICK if quick else None
     with ExitStack() as step:
-        share: OnProgress = lambda _: None  # noqa: E731
+        bar: OnProgress = lambda _: None  # noqa: E731
 
         def tell(text: str) -> None:
-            nonlocal share
+            nonlocal bar
             step.close()
             say(text)
-            share = step.enter_context(progress_bar(text, 1.0))
+            bar = step.enter_context(progress_bar(text, 1.0))
 
-        how = {"whole": whole, "tell": tell, "sampling": sampling}
-        robot, data = finish(asked, helpers, **how, on_progress=lambda part: share(part))
+        robot, data = finish(
+            asked, helpers, whole=whole, tell=tell, sampling=sampling, on_progress=lambda x: bar(x)
+        )
     result = _figures(robot, data) | {"elapsed_s": perf_counter() - begin}
     print_json(result) if json else _print_made(result)
 

@@ -22,8 +22,6 @@ _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
 
 @dataclass(frozen=True)
 class Files:
-    """Output files of a run."""
-
     out: Path | None = None
     """Folder for `log.csv` and `metrics.json`."""
     log: Path | None = None
@@ -48,7 +46,7 @@ ContactOption = Annotated[
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """Split the words after `dbb run`: scenario's name (can be empty), command, remaining words."""
+    """Split the words after `dbb run`: scenario's name or "", its command, and remaining words."""
     if any(word.partition("=")[0] == "--case" for word in words):
         own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
         given = {"scenario" if word in SCENARIOS else _field(word) for word in words}
@@ -80,18 +78,16 @@ def run() -> NoReturn:
     sys.exit(2)
 
 
-_LIST = "\n".join(
-    [
-        "Scenarios (dbb run SCENARIO --help lists the options of each):",
-        *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
-        f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)",
-    ]
+_LIST = (
+    "Scenarios (dbb run SCENARIO --help lists the options of each):\n"
+    + "".join(f"  {name:16} {each.about}\n" for name, each in SCENARIOS.items())
+    + f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)"
 )
 
 
 def command_of(scenario: Scenario | None) -> Callable[..., None]:
-    """The command that runs a scenario, with its options; without a scenario, it calls `run`."""
-    own = from_record(scenario or Files, only=scenario.options if scenario else ())
+    """The command that runs a scenario, with its options; for None, a command that calls `run`."""
+    own = from_record(scenario, only=scenario.options) if scenario else from_record({})
 
     def command(
         scenario_options: Annotated[Given, own],
@@ -107,8 +103,8 @@ def command_of(scenario: Scenario | None) -> Callable[..., None]:
         spec = common.spec_of_scenario(scenario.name, setup, config, parameters, **scenario_options)
         _run(spec, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
-    about = f"Run {scenario.name}: {scenario.about}." if scenario else f"{run.__doc__}\n\n{_LIST}"
-    command.__doc__ = about
+    help_without = f"{run.__doc__}\n\n{_LIST}"
+    command.__doc__ = f"Run {scenario.name}: {scenario.about}." if scenario else help_without
     return command
 
 

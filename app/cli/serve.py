@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from app.cli import options
 from app.cli.common import load_model, say, spec_of_case
@@ -102,34 +102,34 @@ class _First(NamedTuple):
         controller: str,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Begin a simulation: of the first robot in the process `waiting`, or of another robot in a
-        new process. Only the first robot starts as the user asked; another one at `free_start`.
+        """Begin the first robot's simulation in the process `waiting`, or another robot's in a new
+        process. If the first robot has a case or --start, these determine its start; otherwise, the
+        start is `free_start`.
         """
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
         seed, given = self.setup.seed, (model, data, config)
-        if waiting and self.played:
+        if waiting is not None and self.played is not None:
             q_start = self.played.setting(*given, seed).q_m
         else:
             q_start = free_start(*given, self.asked.start if waiting else None, seed)
-        how: Any = {"controller": controller, "physics": self.setup.physics, "seed": seed}
-        made = ProcessLoop(partial(Session, *given, **how), q_start, waiting)
+        session = partial(
+            Session, *given, controller=controller, physics=self.setup.physics, seed=seed
+        )
+        made = ProcessLoop(session, q_start, waiting)
         made.begin()
         return made
 
 
 def _serve(first: _First) -> None:
-    """Serve the dashboard until Ctrl-C; no variable here keeps the first robot in memory."""
+    """Serve the dashboard until Ctrl-C; no variable here keeps a replaced robot in memory."""
     asked, server = first.asked, _opened(first)
     try:
         with suppress(KeyboardInterrupt):  # the regular end, as soon as the address is printed
             print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
             if not _is_loopback(asked.host):
-                say(
-                    f"other machines can reach {asked.host}, without a password: everyone there "
-                    "can watch and command the simulation"
-                )
+                say(f"everyone who can reach {asked.host} can move the robot: there is no password")
             server.run_forever()
     finally:
         server.stop()
@@ -149,9 +149,17 @@ def _opened(first: _First) -> DashboardServer:
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
-        how: Any = {"host": asked.host, "port": asked.port, "allowed": asked.allow_host}
-        how |= {"case": first.played, "parts": parts, "start_loop": first.begin_loop}
-        return serve_dashboard(simulation, model, data.clouds, **how)
+        return serve_dashboard(
+            simulation,
+            model,
+            data.clouds,
+            host=asked.host,
+            port=asked.port,
+            allowed=asked.allow_host,
+            case=first.played,
+            parts=parts,
+            start_loop=first.begin_loop,
+        )
     except BaseException:
         simulation.stop()
         raise
@@ -176,6 +184,6 @@ def _border(model: RobotModel) -> BorderData:
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether only programs on this machine can reach a host, a name or an IP address."""
+    """Whether only programs on this machine can reach `host`, a name or an IP address."""
     found = {info[4][0] for info in socket.getaddrinfo(host, None)}
     return all(ipaddress.ip_address(address).is_loopback for address in found)

@@ -3,8 +3,7 @@
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
 table of quantities (`app.control.quantities`). The formulas of other modules take arrays instead of
 `w`, and only this file connects them; `readings`, `references`, `estimate_load` and
-`torque_reachable_bounds` work on `w` itself. docs/method.md has the formulas that are not in the
-paper. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
+`torque_reachable_bounds` work on `w` itself. docs/method.md has the formulas beyond the paper's.
 
 Tasks have weights instead of strict levels, and each QP is strictly convex. Each row of T_sca for a
 pair within the arm, and each row of T_rep (method `repulsive`), is a spring whose stiffness grows
@@ -13,14 +12,15 @@ with its activation β (`insert_rows`). The base's rows are blended with the oth
 branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
 The base's command (`command_base`) is computed before the arm's torques, because the base follows
-its commands late. Its QPs have slow gains (`slow`), because its commands are rare. The admittance
-law (§4.1, `update_command`) converts the base's acceleration to the velocity command. If the axes
-of a base depend on each other, `Controller` then replaces this command by an admissible one.
+its commands late. The tasks in the QPs of the base have slow gains (`slow`), because its commands
+are rare. The admittance law (§4.1, `update_command`) converts the base's acceleration to the
+velocity command. If the axes of a base depend on each other, `Controller` then replaces this
+command by an admissible one.
 
 The arm's q̈ (`accelerate_arm`) minimises the errors of the tasks; the rows of T_sca are springs that
 compete with them, (29). The arm's limits apply, and the base has its present acceleration
-(`assume_base`). The torques follow from q̈, (26). The compared method `hqp` solves neither of these
-problems: its q̈ is the solution of the paper's hierarchy, which `Controller` computes.
+(`assume_base`). The torques follow from q̈, (26). The compared method `hqp` does not solve the QPs
+of base and arm: its q̈ is the solution of the paper's hierarchy, which `Controller` computes.
 """
 
 import math
@@ -117,13 +117,12 @@ def update_estimate(
 ) -> bool:
     """Estimate the robot's state from the readings, and convert it to pinocchio's coordinates.
 
-    The present buffer distance `w.d_b` starts at the configured one, and approaches a new one at
-    `BUFFER_RATE`. Without valid readings, or with the fault `jump` or `localisation`, all
-    references are forgotten. With valid readings, `shift_reference` then shifts the reference that
+    This is the part of line 2 of Algorithm 2 that precedes pinocchio's computation. The present
+    buffer distance `w.d_b` starts at the configured one, and approaches a new one at `BUFFER_RATE`.
+    Without valid readings, or with the fault `jump` or `localisation`, all references are
+    forgotten. With valid readings, `shift_reference` then shifts the reference that
     `take_reference` has written. Returns whether the readings have a fault; invalid readings have
     one. The arguments from `readings` on are those of `take_readings`.
-
-    Paper: Algorithm 2, the part of line 2 that precedes pinocchio's computation.
     """
     way = BUFFER_RATE * gains.dt
     if math.isnan(w.d_b[()]):
@@ -148,14 +147,12 @@ def update_estimate(
 def algorithm_2(
     robot: Any, gains: Any, slow: Any, border: Any, w: Any, base_source: int, tracking: bool
 ) -> float:
-    """Self-collision avoidance: one control step.
+    """One control step of Algorithm 2, self-collision avoidance.
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
     `put_commands` writes the fallback command. If Python has to solve a QP (by ProxQP) or the
     hierarchy (by `app.control.hqp`), the step ends there; the caller then repeats the whole step,
     which computes the same values again, and uses Python's solution.
-
-    Paper: Algorithm 2.
 
     `robot`, `gains`, `border` and `w` are the structs `ROBOT`, `GAINS`, `BORDER` and `STEP`; `slow`
     are the gains of the slower configuration `app.config.slowed`, for the base's QPs. `w` already
@@ -225,10 +222,10 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """Write the base's accelerations: a_free, the blend a_des of (29), and the commanded one.
 
     While a person guides the arm, only the method `barrier` solves the QP of a_free; with the other
-    methods the base brakes. If β_m > 0, `undragged` then changes a_des. While tracking, the QP of
-    `set_up_room` changes the result as little as necessary for the arm to fulfil T_2 within its
-    limits. The result is clipped to ±a_max. The function ends early if Python has to solve a QP. If
-    a QP has no solution, the base brakes.
+    methods a_free = −k ν, with k = `base_damping`. If β_m > 0, `undragged` then changes a_des.
+    While tracking, the QP of `set_up_room` changes the result as little as necessary for the arm to
+    fulfil T_2 within its limits. Finally, the command is clipped to ±a_max. The function ends early
+    if Python has to solve a QP. If a QP has no solution, the command is −k ν: the base brakes.
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -326,7 +323,7 @@ def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
 
 @compiled()
 def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
-    """Write T_sca: rows of the base, rows of pairs within the arm, and T_rep (`repulsive`)."""
+    """Write T_sca: rows of the base, of pairs within the arm, and T_rep (method `repulsive`)."""
     n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
     b_r, beta_r = link_accelerations(robot, gains, w), np.zeros(links)
     if gains.link_rows:
@@ -353,7 +350,7 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def track(gains: Any, w: Any, weight: float, damped: bool) -> tuple[Array, Array, Array, float]:
-    """Add T_2 to the task (`w.H_low`, `w.c_low`); return H (n, n), c (n,), b (6,) and λ [m²].
+    """H (n, n) and c (n,) of T_2 and the task (`w.H_low`, `w.c_low`) together; b (6,) and λ [m²].
 
     b and λ are those of `end_effector_task`; without `damped`, λ is 0. `weight` [-] is that of T_2.
     """
@@ -401,7 +398,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 
 @compiled()
 def put_qp(w: Any, H: Array, c: Array, rows: slice, b: Array, least: float, fixed: int) -> None:
-    """Store the objective of the next QP: (H, c), and `rows` of T_sca by `insert_rows`."""
+    """Store the objective of the next QP: (H, c) with `rows` of T_sca, by `insert_rows`."""
     H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], least, fixed)
     put_rows(w.qp_H, H)
     put(w.qp_c, c)
@@ -475,8 +472,8 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """Set up the QP of a_free, for base and arm; return the number of limits.
 
     The tasks are T_2 with slow gains, posture, and slow springs of the pairs within the arm. While
-    a person guides the arm, a task that brings the base to rest replaces T_2. The limits are those
-    of `write_limits`, and |J_m q̈_b| ≤ a_max.
+    a person guides the arm, the task of the guided arm and a task that brings the base to rest
+    replace T_2 and posture. The limits are those of `write_limits`, and |J_m q̈_b| ≤ a_max.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
     if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
@@ -572,8 +569,8 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
 def response(mass: Array, damping: Array, period: float) -> tuple[Array, Array]:
     """Gain (n_b,) [-] and drag (n_b,) [1/s] of the admittance law M_a v̇ + D_a v = M_a a (§4.1).
 
-    The mean of v̇ over a command period [s] is gain · (a − drag · ν), where ν is the velocity at
-    the start of this period. `mass` and `damping` are the diagonals (n_b,) of M_a and D_a.
+    The mean of v̇ over a command period [s] is gain · (a − drag · v_0), with the velocity v_0 at its
+    start. `mass` and `damping` are the diagonals (n_b,) of M_a and D_a.
     """
     gain, drag = np.ones(len(mass)), damping / mass
     for i in range(len(mass)):
@@ -651,8 +648,9 @@ def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
 
-    With valid readings, the first pass of a step only marks the hierarchy as open; the second pass
-    writes the commands by the solution of `app.control.hqp`, or the fallback command without one.
+    With valid readings, the first pass of a step only marks the hierarchy as open, and the second
+    pass writes the commands by the solution of `app.control.hqp`. Without valid readings or a
+    solution, `put_commands` writes the fallback command.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

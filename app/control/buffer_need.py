@@ -4,8 +4,8 @@ docs/method.md derives the bound ("How large must d_b be?"). The end-effector ap
 along -n at a constant speed v, independent of the base. While its distance is less than d_*, the
 law accelerates the base in each of its channels k (v and ω of a differential base) by at least
 a_k(d_*). The dead time t_0 precedes this acceleration, and w_k is the final speed of the channel.
-Until the base is as fast as the end-effector, the distance decreases by at most x(d_*): it is never
-below d_* - x(d_*), for every d_*.
+Until the base is as fast as the end-effector, the distance decreases by at most x(d_*). Therefore
+it never falls below the largest d_* - x(d_*).
 """
 
 import math
@@ -151,21 +151,23 @@ def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config
 
     `way` is a motion of the base away from the arm; t is the horizontal part of n, turned by 90°.
     """
-    law, n, p, rows = config.admittance, approach.n, approach.p_b, []
+    law, n, p = config.admittance, approach.n, approach.p_b
     lever = n[1] * p[0] - n[0] * p[1]
     lever = math.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)
-    # Linear and angular inertia of the base; inertia and damping of the admittance law
-    inertia, virtual_inertia = (base.mass_kg, base.inertia_kgm2), (law.mass, law.inertia)
-    resistances = inertia, virtual_inertia, (law.damping, law.angular_damping)
+    rows = []
     for channel in way:
         x, y, turn = channel.twist
+        linear, angular = x * x + y * y, turn * turn
         J = float(np.dot(channel.twist, [n[0], n[1], lever]))
         J_t = float(np.dot(channel.twist, [-n[1], n[0], n[0] * p[0] + n[1] * p[1]]))
-        mass, virtual, damping = (
-            (x * x + y * y) * linear + turn * turn * angular for linear, angular in resistances
-        )
-        T = min(virtual / max(damping, 1e-9), _LONGEST)
-        commanded = (law.v_max, math.hypot(x, y)), (law.omega_max, abs(turn))
-        top = min(channel.v_max, *(most / part for most, part in commanded if part > 0.0))
+        mass = linear * base.mass_kg + angular * base.inertia_kgm2
+        virtual_mass = linear * law.mass + angular * law.inertia
+        damping = linear * law.damping + angular * law.angular_damping
+        T = min(virtual_mass / max(damping, 1e-9), _LONGEST)
+        top = channel.v_max
+        if linear > 0.0:
+            top = min(top, law.v_max / math.hypot(x, y))
+        if angular > 0.0:
+            top = min(top, law.omega_max / abs(turn))
         rows.append((J, J_t, mass, channel.a_max * abs(J), top * abs(J), T))
     return np.array(rows)

@@ -28,11 +28,11 @@ class BufferReading(NamedTuple):
     approach_speed: float
     """[m/s] speed of the approach in the last 3 s that requires the largest d_b; 0 without one."""
     needed: float
-    """[m] d_b that this approach requires; infinite if 2 m do not suffice; 0 without one."""
+    """[m] d_b that this approach requires; infinite if 2 m do not suffice, 0 without approach."""
     approach_speed_max: float
     """[m/s] speed of the approach since the reset that requires the largest d_b."""
     needed_max: float
-    """[m] the d_b that this approach requires."""
+    """[m] the d_b that the approach of `approach_speed_max` requires."""
     too_small: bool
     """Whether `needed` exceeds the configured d_b; False if the controller never moves the base."""
     too_small_ever: bool
@@ -93,7 +93,7 @@ class BufferWatch:
         return self._reading
 
     def _look(self, state: RobotState, control: ControlStep) -> None:
-        """Compute the required d_b of each pair whose mean speed in 50 steps is an approach."""
+        """Compute the required d_b of each pair that approaches in the mean of 50 steps."""
         for i, speeds in enumerate(self._speeds.tolist()):
             if not (known := [each for each in speeds if not math.isnan(each[0])]):
                 continue
@@ -142,8 +142,9 @@ _sample_once = direct(_sample)
 
 
 def needed_text(needed: float) -> str:
-    """A required d_b [m] as text, rounded up to whole centimetres; for an infinite one, that no d_b
-    suffices. If the largest d_b that can be set is smaller, the text also states this largest d_b.
+    """A text with a required d_b [m], rounded up to centimetres, or that no d_b suffices.
+
+    If the required d_b exceeds the largest d_b that can be set, the text also has the latter.
     """
     if math.isinf(needed):
         return "no d_b suffices"

@@ -24,22 +24,14 @@ _FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 
 
 
 def checked_period(dt: float) -> float:
-    """The control period dt [s] as a float.
-
-    Raises:
-        ConfigError: It is no number from `SHORTEST` to `LONGEST`.
-    """
+    """The control period dt [s] as a float; a ConfigError outside of `SHORTEST` to `LONGEST`."""
     if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
         raise ConfigError(f"dt must be between {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
     return float(dt)
 
 
 def check_gains(config: Config, dt: float) -> None:
-    """Refuse gains that are too large for a control period of dt [s].
-
-    Raises:
-        ConfigError: `config` is not a `Config`, or a gain is too large.
-    """
+    """Raise a ConfigError for no `Config`, or for a gain that is too large for a period dt [s]."""
     if not isinstance(config, Config):
         raise ConfigError(
             f"config must be a Config, was {type(config).__name__}; Config().changed(...) changes "
@@ -50,9 +42,9 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def too_large_gain(config: Config, dt: float) -> str:
-    """The message about a gain that is too large for a control period of dt [s], or no text.
+    """A message about the first gain that is too large for a control period dt [s], or no text.
 
-    The message states the upper bounds of the gain and of dt.
+    The message states the upper bound of this gain, and that of dt for its present value.
     """
     for each in chain.from_iterable(section.tunables for section in sections()):
         if each.unit not in ("1/s", "1/s²") or each.path == "estimate.velocity_noise":
@@ -69,7 +61,7 @@ def too_large_gain(config: Config, dt: float) -> str:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """Build the error for joint positions q_m (n_m,); it names the joint farthest outside."""
+    """Build the error for positions q_m (n_m,); it names the joint farthest outside its limits."""
     low, high, joints = model.q_lower, model.q_upper, model.description.arm.joints
     i = int(np.argmax(np.abs(q_m - 0.5 * (high + low)) / (high - low)))
     return MeasurementError(
@@ -91,7 +83,7 @@ def clocks_differ(measurement: Measurement) -> MeasurementError:
 
 
 def rounding(measurement: Measurement, dt: float) -> str:
-    """A note on a time that single precision has rounded to multiples of more than dt [s]."""
+    """A note if single precision has rounded a time to multiples of more than dt [s], else ""."""
     for name in ("now", "time", "base_time"):
         value = np.float32(getattr(measurement, name))
         step = float(np.spacing(value))
@@ -111,11 +103,7 @@ class JointOrder:
     """
 
     def __init__(self, model: RobotModel, names: Sequence[str]) -> None:
-        """Resolve the names of the arm's joints.
-
-        Raises:
-            MeasurementError: `names` is a string or a set, or lacks or repeats a joint of the arm.
-        """
+        """Find the arm's joints in the `names` of a driver; errors as `ControlLoop.joint_order`."""
         if isinstance(names, (str, set, frozenset)) or not isinstance(names, Iterable):
             raise MeasurementError(
                 f"joint states: the names must be a list of the driver's joints, were {names!r}"
@@ -149,8 +137,7 @@ class JointOrder:
 def checked_reference(reference: Reference) -> Reference:
     """The reference with arrays of floats.
 
-    Raises:
-        MeasurementError: `reference` is not a `Reference`, or a field has a wrong type or shape.
+    Another type than `Reference`, or a field of a wrong type or shape, raises a MeasurementError.
     """
     if not isinstance(reference, Reference):
         raise MeasurementError(

@@ -104,9 +104,8 @@ class Controller:
         """Use other parameters from the next step on.
 
         The border changes at once; the method `hqp` always uses the sampled points. The buffer
-        distance in use approaches a new d_b at `algorithm.BUFFER_RATE`, because a jump would
-        abruptly accelerate an arm inside the buffer. An addition to the mass of the payload is
-        subtracted from the detected loads.
+        distance in use approaches a new d_b at `algorithm.BUFFER_RATE`. An addition to the mass of
+        the payload is subtracted from the detected loads.
 
         Raises:
             ConfigError: `config` is not a `Config`, or the control period is too long for a gain.
@@ -127,10 +126,9 @@ class Controller:
         self._set_gains()
 
     def _set_gains(self) -> None:
-        self._gains, self._slow = (
-            gains_struct(each, self._model, self.name, self.dt)
-            for each in (self.config, slowed(self.config))
-        )
+        config, model = self.config, self._model
+        self._gains = gains_struct(config, model, self.name, self.dt)
+        self._slow = gains_struct(slowed(config), model, self.name, self.dt)
 
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
@@ -237,7 +235,7 @@ class Controller:
         return w
 
     def _rescue(self, which: int) -> None:
-        """Solve an open QP by ProxQP, or the hierarchy; write rows `which` of qp_x and qp_tried."""
+        """Solve an open QP by ProxQP, or the hierarchy; write row `which` of qp_x and qp_tried."""
         w, m = self.last, int(self.last.qp_rows)
         w.qp_tried[which] = 1.0
         if which == algorithm.HIERARCHY:
@@ -252,7 +250,7 @@ class Controller:
 class Command(NamedTuple):
     """The commands of one control step.
 
-    `step` and the properties below refer to the loop's last step, except in a `copy.deepcopy`.
+    The next step of the loop changes `step` and the properties below, except in a `copy.deepcopy`.
     """
 
     u_a: Array
@@ -275,7 +273,7 @@ class Command(NamedTuple):
     def load(self) -> float:
         """[kg] mass of the load in the fault `load`; negative if a load of `payload.mass` is gone.
 
-        Without this fault, the mass that best explains the external torques, also of a person.
+        Without this fault, the mass that best explains the external torques, including a person's.
         """
         return float(self.step.unstated or self.step.load)
 
@@ -377,14 +375,15 @@ class ControlLoop:
         for name in command.faults:
             if name not in self.reported:
                 self.reported.add(name)
-                dt, more = self.controller.dt, ""
+                dt, note = self.controller.dt, ""
                 if name == "lag":
-                    more = f" ({command.step.lag * dt * 1000:.0f} ms)"
+                    note = f" ({command.step.lag * dt * 1000:.0f} ms)"
                 elif name == "period":
                     too_large = contract.too_large_gain(self.controller.config, dt)
-                    more = f" ({dt * 1000:.2f} ms{too_large and f'; {too_large}'})"
-                more += contract.rounding(measured, 0.5 * dt)
-                logger.warning("readings, %s: %s%s", name, FAULTS[name], more)
+                    reason = f"; {too_large}" if too_large else ""
+                    note = f" ({dt * 1000:.2f} ms{reason})"
+                note += contract.rounding(measured, 0.5 * dt)
+                logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:
@@ -406,10 +405,10 @@ def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping
 
 
 def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Array) -> Array:
-    """The feasible command (n_b,) nearest to `command`, in m/s or rad/s; `before` is the last one.
+    """The feasible command (n_b,) [m/s or rad/s] nearest to `command`, after the command `before`.
 
     If the axes of a base depend on each other, the nearest feasible command can exceed `v_max`
-    (n_b,). Then all axes are multiplied by the same factor.
+    (n_b,). Then all its entries are multiplied by the same factor.
     """
     found = base.admissible(command, before)
     over = float(np.max(np.abs(found) / v_max))

@@ -9,9 +9,8 @@ noise at once, noisy ones do not shake the arm, and wrong velocities have little
 The estimate belongs to the newest reading; `advance` predicts the present state from it, and
 `estimate_load` finds loads in the external torques that the external accelerations imply. Tasks do
 not use the external acceleration: a guided end-effector stays free. Limits use it, so that joint
-speeds and distances stay within their limits while a person pulls.
-
-The argument `w` is a `STEP`.
+speeds and distances stay within their limits while a person pulls. The arguments `w` and `gains`
+are a `STEP` and `GAINS`.
 """
 
 import math
@@ -76,8 +75,9 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; reset P to the noise variances `trusted` (2, n_m).
 
-    A clear change of the velocity that x[2] and `predicted` do not explain changes x[2]. The other
-    arguments are those of `estimate_arm`.
+    A clear change of the velocity that the external acceleration x[2] and `predicted` do not
+    explain changes x[2]. A joint without a position is only predicted. The other arguments are
+    those of `estimate_arm`.
     """
     x, P, steps, dt = w.x_read, w.P_est, len(predicted), gains.dt
     expected = x.copy()
@@ -123,18 +123,18 @@ def process_noise(w: Any, qd_max: Array, periods: Array, gains: Any) -> Array:
 def estimate_arm(
     w: Any, predicted: Array, read: Array, qd_max: Array, drift: Array, gains: Any
 ) -> bool:
-    """Update the estimate by one reading; return whether the arm cannot have moved to it.
+    """Update the estimate by one reading; return whether the arm cannot have moved to this reading.
 
-    If it cannot, the filter restarts at the reading with an external acceleration of 0; after a gap
-    it restarts with the last external acceleration. Until the estimate of the noise has `FEWEST`
-    samples, `_begin_at` replaces the filter. A joint without a position is only predicted. As in
-    drives and simulators, a measured velocity is the mean velocity of the last control period.
+    After such a jump, the filter restarts at the reading with an external acceleration of 0; after
+    a gap it restarts with the last external acceleration. Until the estimate of the noise has
+    `FEWEST` samples, `_begin_at` replaces the filter. A joint without a position is only predicted.
+    As in drives and simulators, a measured velocity is the mean velocity of the last control
+    period.
 
-    `w` is a `STEP`; its `x_read`, `P_est`, `noise_var`, `q_last` and `samples` are used.
     `predicted` (k, n_m) has the `predicted_joint_acceleration` in each of the k control periods
     since the last reading; no rows after a gap. `read` (2, n_m) has positions [rad or m] and
     velocities [rad/s or m/s], NaN if one is unknown. `qd_max` (n_m,) are the joints' speed limits,
-    `drift` (n_m,) is `process_noise`, and `gains` `GAINS`.
+    and `drift` (n_m,) is `process_noise`.
     """
     x, P, last, steps, dt = w.x_read, w.P_est, w.q_last, len(predicted), gains.dt
     q, qd = read
@@ -249,7 +249,7 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden
 
 @compiled()
 def grow(p: Array, drift: float, periods: int, dt: float) -> None:
-    """Predict the covariance p (3, 3) of a joint over control periods of dt [s]."""
+    """Predict a joint's covariance p (3, 3) over periods of dt [s]; `drift` is `process_noise`."""
     for _ in range(periods):
         for j in range(3):
             p[1, j] += dt * p[2, j]
@@ -288,8 +288,9 @@ def _sudden_mass(torques: Array, lifts: Array, C: Array) -> float:
 
     A load changes the external torques at once, and only by its weight and its inertia. A force
     that changes in a different direction, has changed before, or grows for longer is a person's.
-    `torques` and `lifts` (8, n_m) are those of `STEP`; the covariance C (n_m, n_m) by noise of a
-    change of `torques` gives noisy joints a smaller weight.
+    `torques` and `lifts` (8, n_m) are those of `STEP`, but `torques` without those by the known
+    load. The covariance C (n_m, n_m) by noise of a change of `torques` gives noisy joints a smaller
+    weight.
     """
     first, last, L, usual = 3, len(torques) - 1, cholesky(C), np.eye(len(C))
     lift, change = forward(L, lifts[1]), forward(L, torques[3] - torques[1])
@@ -375,8 +376,9 @@ def _judge_load(gains: Any, w: Any, C: Array) -> None:
     If a load is detected, the intervals before it are changed as if the load had been present, so
     that no load counts twice. `w.loaded` becomes 0 below `_LEAST_LOAD`, or if none of the intervals
     0, 1 and 3 (0 is the newest) contains more than half of it. `w.unstated` is `w.loaded` while
-    interval 0 or 1 contains more than half of it, unless the mass at the end-effector would then be
-    negative, because a person pushes upwards. C is that of `_sudden_mass`.
+    interval 0 or 1 contains more than half of it. A load that would make the mass at the
+    end-effector negative is a person's push upwards, and is not reported. C is as in
+    `_sudden_mass`.
     """
     torques, lifts = w.torques, w.lifts
     if math.isnan(torques[1, 0]):  # the first interval after a gap

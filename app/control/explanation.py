@@ -37,58 +37,42 @@ row is divided by the speed limit), m/s² for a distance, m/s² or rad/s² for t
 class Bound(NamedTuple):
     """An active limit."""
 
-    where: str
-    """Name of a joint, "base", or a pair as in `lm-lEE`."""
-    kind: BoundKind
-    """The limited quantity."""
-    upper: bool
-    """Whether it is the upper of the two bounds."""
+    where: str  # name of a joint, "base", or a pair as in `lm-lEE`
+    kind: BoundKind  # the limited quantity
+    upper: bool  # whether it is the upper of the two bounds
 
 
 class ForceSplit(NamedTuple):
-    """The force on the base by one pair, split as in Figure 7; horizontal, forward and left."""
+    """The force on the base by one pair, split as in Figure 7, with components forward and left."""
 
-    f: Planar
-    """[N] f_m,i of (14), the sum of `away` and `turn`."""
+    f: Planar  # [N] f_m,i of (14), the sum of `away` and `turn`
     away: Planar
     """[N] component of f along the horizontal part of n: it moves the base away from the arm."""
-    turn: Planar
-    """[N] component of f across n, from the step (12), (13) towards a better score."""
-    away_acceleration: ByAxis
-    """[m/s² or rad/s²] acceleration (16) by `away` alone, times β_m."""
-    turn_acceleration: ByAxis
-    """[m/s² or rad/s²] acceleration (16) by `turn` alone, times β_m."""
+    turn: Planar  # [N] component of f across n, from the step (12), (13) towards a better score
+    away_acceleration: ByAxis  # [m/s² or rad/s²] acceleration (16) by `away` alone, times β_m
+    turn_acceleration: ByAxis  # [m/s² or rad/s²] acceleration (16) by `turn` alone, times β_m
     determinant: float
-    """|measure| of the base at p_act; for a differential base det(J_c J_cᵀ) of (7) [m⁴/rad⁴]."""
-    reachability: float
-    """[-] R of (9) at p_act."""
-    score: float
-    """[unit of the measure] S of (10) at p_act."""
-    score_near: float
-    """[unit of the measure] S at p_n, where the force would act without the step."""
+    """Absolute `BaseKind.measure` at p_act; (7) [m⁴/rad⁴] for a differential base."""
+    reachability: float  # [-] R of (9) at p_act
+    score: float  # [unit of the measure] S of (10) at p_act
+    score_near: float  # [unit of the measure] S at p_n, where the force would act without the step
 
 
 class NearPair(NamedTuple):
     """One link pair that is nearer than the buffer distance, or at the bound of its barrier."""
 
-    a: str
-    """Name of the body nearer to the base, as in `lm`."""
-    b: str
-    """Name of the other body, as in `lEE`."""
-    mobile: bool
-    """Whether one of the two bodies is the base (a pair of L_m)."""
-    d: float
-    """[m] signed distance in the control step."""
-    beta: float
-    """[-] activation parameter."""
+    a: str  # name of the body nearer to the base, as in `lm`
+    b: str  # name of the other body, as in `lEE`
+    mobile: bool  # whether one of the two bodies is the base (a pair of L_m)
+    d: float  # [m] signed distance in the control step
+    beta: float  # [-] activation parameter
     n: tuple[float, float, float]
     """Normal from `a` to `b`, in the base's frame, of length 1 or less."""
     above: float
     """[-] 1 − ‖n_xy‖: share of the force, 0 to 1, that is lost above the base; 0 within the arm."""
     arm_beta: float
     """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
-    limited: bool
-    """Whether the barrier of the pair's distance is active: it limits the approach."""
+    limited: bool  # whether the barrier of the pair's distance is active: it limits the approach
     force: ForceSplit | None
     """The force of the pair on the base. None for a pair within the arm, while the base has no
     active rows of T_sca, and without an acting point."""
@@ -111,10 +95,9 @@ class Explanation(NamedTuple):
     """One control step, explained."""
 
     controller: str
-    mode: Controlled
-    """Whether a person guides the arm, or the arm tracks a reference."""
+    mode: Controlled  # whether a person guides the arm, or the arm tracks a reference
     solved: bool
-    """False for the fallback command, without valid readings or a solution of the arm's QP."""
+    """Whether readings are valid and q̈ has a solution; if not, the fallback command applies."""
     chain: tuple[str, ...]
     """Names of all bodies: the base, then those of the arm from the base outwards."""
     near: tuple[NearPair, ...]
@@ -122,21 +105,17 @@ class Explanation(NamedTuple):
     the arm, each of these two groups in the order of decreasing activation."""
     nearest: tuple[str, str, float]
     """Body names and distance [m] of the nearest pair with the base, nearer than d_b or not."""
-    axes: tuple[Axis, ...]
-    """The base's axes, which define the components of its accelerations."""
+    axes: tuple[Axis, ...]  # the base's axes, which define the components of its accelerations
     base_avoidance: ByAxis
     """[m/s² or rad/s²] acceleration (16) of the base, times β_m; 0 without the base's rows."""
-    commanded_acceleration: ByAxis
-    """[m/s² or rad/s²] commanded base acceleration."""
+    commanded_acceleration: ByAxis  # [m/s² or rad/s²] commanded base acceleration
     assumed_acceleration: ByAxis
     """[m/s² or rad/s²] base acceleration that the arm's QP assumes (`a_base_meas`); with the
     fallback command, the commanded acceleration."""
     levels: tuple[Level, ...]
     """Slack of each active task, as by `level_readings`; empty with the fallback command."""
-    bounds: tuple[Bound, ...]
-    """The active limits of the step."""
-    base_kind: str = "differential"
-    """Kind of the base, which defines the measure in the score."""
+    bounds: tuple[Bound, ...]  # the active limits of the step
+    base_kind: str = "differential"  # kind of the base, which defines the measure in the score
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:
@@ -157,8 +136,8 @@ def explain(
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
     limited = {bound.where for bound in bounds if bound.kind == "barrier"}
-    near = (_near_pair(model, w, i, limited=p.name in limited) for i, p in enumerate(w.pairs))
-    near = sorted(filter(None, near), key=lambda p: (p.mobile, p.beta, -p.d), reverse=True)
+    pairs = (_near_pair(model, w, i, limited=p.name in limited) for i, p in enumerate(w.pairs))
+    near = sorted(filter(None, pairs), key=lambda p: (p.mobile, p.beta, -p.d), reverse=True)
     nearest = int(np.argmin(w.d[: w.n_mob]))
     base = model.description.base
     return Explanation(
@@ -182,7 +161,8 @@ def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
     """The slack of each active task: w_sca* of (29), w_2 while tracking, and the lowest task's."""
     levels, n_b = [], base.n_b
     if w.B[0] > 0.0:
-        angular, error = np.array([axis.angular for axis in base.axes]), w.a_base_des - w.a_base_cmd
+        angular = np.array([axis.angular for axis in base.axes])
+        error = w.a_base_des - w.a_base_cmd
         levels.append(Level("base", _norm(error[~angular]), _norm(error[angular])))
     slack, links = row_slacks(w), slice(n_b, n_b + len(w.pairs) - w.n_mob)
     if (w.B[links.stop :] > 0.0).any():
@@ -275,7 +255,8 @@ def _tuple_of(v: Array) -> ByAxis:
 
 def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bound]:
     """The active limits of a step with a solution: those of the arm, then those of the base."""
-    (low, high), n_m, joints = met(w), model.n_m, model.description.arm.joints
+    low, high = met(w)
+    n_m, joints = model.n_m, model.description.arm.joints
     bounds: list[Bound] = []
     convex = [
         pair.name for pair, rows in zip(w.pairs, w.rows, strict=True) for _ in rows[1:] or rows
@@ -328,9 +309,8 @@ def _joint_kind(
 
 
 def _base_bounds(model: RobotModel, w: ControlStep) -> list[Bound]:
-    asked, most = w.a_base_cmd, model.base_acceleration_max
-    missing = w.a_base_des - asked  # `limit_ee_drag` and `set_up_room` also cause a difference
-    at_limit = np.sign(missing) * asked > most - TOLERANCE
+    missing = w.a_base_des - w.a_base_cmd  # `limit_ee_drag` and `set_up_room` also contribute
+    at_limit = np.sign(missing) * w.a_base_cmd > model.base_acceleration_max - TOLERANCE
     return [
         Bound("base", "angular acceleration" if axis.angular else "acceleration", bool(m > 0))
         for axis, m, at in zip(model.description.base.axes, missing, at_limit, strict=True)

@@ -1,15 +1,9 @@
 """(26) to (29) as printed in the paper (§3.4): strict levels and their transition.
 
 This is the compared method `hqp`; the other parts of its step are those of `dbb`
-(docs/comparison.md lists them). The cascade below corrects the paper only where necessary:
-
-- (29) has (I − B) (J_sca q̈_2* + J̇_sca q̇) on the right side: only then it is (26) at B = 0.
-- (26) leaves q̈ open if T_2 has fewer rows than q̈ has entries. Therefore a lowest level follows:
-  posture and damping, with a large weight on the wheels. A guided arm has no T_2 (§4.2.2): its
-  lowest levels are a base at rest, then gravity compensation with joint damping.
-- The level T_sca has only the rows with β > 0: those of pairs within their buffers.
-
-u is not an unknown here, because (26) defines u = M q̈ + C q̇ + g without a constraint on q̈.
+(docs/comparison.md lists them). "As printed" in docs/departures.md has the necessary corrections.
+The level T_sca has only the rows with β > 0. u is not an unknown here, because (26) defines
+u = M q̈ + C q̇ + g without a constraint on q̈.
 """
 
 from typing import NamedTuple
@@ -45,8 +39,8 @@ def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
 def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
     """The levels below T_sca: T_2 and posture, or base at rest and gravity compensation.
 
-    The posture level is the diagonal objective `w.H_low`. The base at rest is q̈_b = −k q̇_b. The
-    gravity compensation minimises (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0) with u_0 = `w.u_free`.
+    The posture level is the diagonal objective `w.H_low`; a base at rest is q̈_b = −k q̇_b, with the
+    `base_damping` k; gravity compensation minimises u_a − `w.u_free` in the metric M_aa⁻¹.
     """
     n_b = w.n_b
     if w.tracking:

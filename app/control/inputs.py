@@ -69,9 +69,9 @@ _GAINS: dict[str, Any] = {
     "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
     **dict.fromkeys(_PARAMETERS, _FLOAT),  # numbers of these sections of `Config`, in their units
     "barrier_rate": _FLOAT,  # [1/s] `barrier.rate`
-    "ee_hold_min_speed": _FLOAT,
-    "ee_hold_weight": _FLOAT,
-    "payload_mass": _FLOAT,  # [kg]
+    "ee_hold_min_speed": _FLOAT,  # [m/s] `ee_hold.min_speed`
+    "ee_hold_weight": _FLOAT,  # [-] `ee_hold.weight`
+    "payload_mass": _FLOAT,  # [kg] `payload.mass`
     "command_period": _FLOAT,  # [s] of the base's velocity command
     "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
     "virtual_damping": _VECTOR,  # (n_b,) [N s/m, N m s] D_a
@@ -106,8 +106,7 @@ def robot_struct(
 ) -> Any:
     """`ROBOT`: constants of a robot, and of the closest points and distances of its link pairs.
 
-    Raises:
-        DescriptionError: A body of L_m has no reachability.
+    A body of L_m without reachability raises a DescriptionError.
     """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile

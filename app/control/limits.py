@@ -170,9 +170,9 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
 
 @compiled()
 def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
-    """(n,) torque of each joint that keeps this joint's speed constant, without external forces.
+    """(n,) torque for each entry of q̇ that keeps this entry constant, without external forces.
 
-    The other joints have their present accelerations q̈ (n,): a wrist at its speed limit needs more
-    torque while an elbow brakes. M (n, n) and h (n,) are the step's quantities.
+    All others have their present accelerations q̈ (n,): a wrist at its speed limit needs more torque
+    while an elbow brakes. M (n, n) and h (n,) are the step's quantities.
     """
     return h + M @ qdd - np.diag(M) * qdd

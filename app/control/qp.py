@@ -274,7 +274,7 @@ def solve_qp(
 
     A slack s of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's softness and κ is the
     smallest C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε²
-    times the violation at the optimum without limits. Soft limits are never infeasible.
+    times the violation at the optimum without limits. Contradictory soft limits are feasible too.
 
     H (n, n) is symmetric positive definite, c (n,) the linear term. The rows C (m, n) have the
     limits l and u (m,) and the softness ε² (m,) [-]; a row with 0 is hard. `fixed` (k,) are the

@@ -2,17 +2,9 @@
 
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
 them; logs, the explanation, studies and tests read them under the same names. The next step
-overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these
-and q̇. In addition, a step reads M, h, L_aa, J_ee, v_ee, p_ee, p_o, base_velocity and a_base_meas
-of the last step. In a step without valid readings all kinematics are those of the last valid step.
-Two states are not in the table, and `reset` does not change them: the control period in use
-(`Controller.dt`) and the state of the drive (`RobotState.drive`).
-
-Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
-and its x axis points ahead. Coordinates: `axes` are the base's velocity axes ν, fixed to the base:
-v and ω for a differential base. An acceleration is the derivative of these components. `joints` are
-the joints of the arm. `reduced` are (q̇_b, q̇_m): the base's reduced velocities (the wheel speeds
-of a differential base), then the joint velocities of the arm.
+overwrites them. In a step without valid readings all kinematics are those of the last valid step.
+docs/notation.md explains the frames, and "memory" with the effect of `reset`. Two states are not in
+the table: the control period in use (`Controller.dt`), and the drive's state (`RobotState.drive`).
 """
 
 from __future__ import annotations
@@ -92,7 +84,7 @@ biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 valid | | | 1 | | readings |
     0 before a usable reading, after 0.1 s without one, or after a contradiction; else 1
 faults | | 13 | 1 | | readings | 1 for each fault of the readings, in the order of `readings.FAULTS`
-blind_time | T | | s | | readings | memory: recent longest age of the readings, including doubts
+blind_time | T | | s | | readings | memory: recent longest age of readings in use, with doubts
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
 load | m | | kg | | readings |
     memory: mass at the end-effector that explains the newest interval of `torques` best
@@ -114,7 +106,7 @@ clock_span | 3 | 1 | |
     their intervals in control periods and of the squares of these intervals
 clock_ratio | | 1 | | ratio of the control period by the clock to `dt`; 0 before a measurement
 elapsed | | s | |
-    time since the last step; a control period after more than 0.1 s; 0 in a step that catches up
+    time since the last step; 1 period after a pause too long for a prediction; 0 if it catches up
 stamp | | s | | time stamp of the newest reading; NaN without one
 hidden_lag | | 1 | | the part of `lag` that time stamps do not show, in control periods
 stated_lag | | 1 | | the part of `lag` that `estimate.delay` states
@@ -122,7 +114,7 @@ ratio | | 1 | | ratio of a joint's motion to the integral of its velocity; 0 bef
 agreed | | s | | duration of the successive measurements that agree on a `ratio` other than 1
 corrected | | 1 | | 1 after the fault `period`
 no_velocity | | 1 | | 1 while velocities do not match the positions
-rested | n_m | 1 | joints | number of equal readings of each joint that are no repetitions
+rested | n_m | 1 | joints | number of successive equal readings of a joint, without repetitions
 grain | n_m | rad, m | joints | upper bound of each encoder's resolution; 0 before a change
 interval | | 1 | | control periods between the last two new readings
 reading | 2 n_m | rad, rad/s | joints | newest positions and velocities
@@ -136,9 +128,9 @@ pose_way | 2 | m, rad | | recent path length and angle; infinite until a pose is
 pose_age | | s | | time since the newest pose of the base
 astray | n_b | m/s, rad/s | axes |
     recent changes of the base's velocity that the model of its drive does not explain
-history | 128 n_m | rad/s² | joints | ring buffer: predicted accelerations in control periods
+history | 128 n_m | rad/s² | joints | ring buffer: predicted accelerations of the last periods
 base_history | 128 n_b | m/s², rad/s² | axes | assumed accelerations of the base, as in `history`
-base_late | | 1 | | 1 if the base's readings are advanced to the time stamp of the joints'
+base_late | | 1 | | 1 if the base's readings are advanced to the time of the joints' readings
 base_lost | | 1 | | 1 if the last step had no new reading of the base
 periods | | 1 | | index of the newest row of `history`
 known | | 1 | | number of rows of `history` since the last gap
@@ -154,11 +146,11 @@ travel_time | | s | | duration of the integral of `travel`
 loaded | | kg | | sum of the loads that began suddenly, minus the additions to `payload.mass`
 unstated | | kg | | mass of the reported load, negative if a stated load has ceased; 0 without one
 torques | 8 n_m | N m, N | joints | mean external torques of intervals of ≥ 0.02 s, the newest first
-lifts | 8 n_m | N m/kg, N/kg | joints | torques that move a load of 1 kg, as in `torques`
+lifts | 8 n_m | N m/kg, N/kg | joints | torques that move 1 kg at the end-effector, as in `torques`
 v_tip | 3 | m/s | world | velocity of the end-effector one control period ago
 torques_age | | s | | age of the newest interval of `torques`
 x_read | 3 n_m | rad, rad/s, rad/s² | joints | Kalman state: `x_est` at the newest reading
-v_error | n_m | rad/s, m/s | joints | recent error of velocities in use; 0 if all readings are new
+v_error | n_m | rad/s, m/s | joints | recent error of the law's velocities by rare or late readings
 qd_used | 128 n_m | rad/s, m/s | joints | ring buffer: `qd_m` of the last control periods
 # Memory of estimate
 q_last | 4 n_m | rad/s, rad, 1 | joints |
@@ -176,7 +168,7 @@ J | J_r | n_r n | m/rad, 1 | reduced | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
 beta | β | n_p | 1 | | Figure 10 | activation of each pair
-beta_m | β_m | | 1 | | (28) | largest β of L_m; `B` has the activation of the base's rows in use
+beta_m | β_m | | 1 | | (28) | largest β of L_m; `B` has 0 instead if the base's rows are not used
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
 p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score; NaN while β = 0
 p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point; NaN while β = 0
@@ -204,7 +196,7 @@ c_low | c | n | | reduced | (26) | linear term of the task of `H_low`
 H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
 c | c | n | | reduced | (26) | linear term of all tasks below T_sca
 # Memory of references
-x_sent | 4 3 | 1, m | world | pose of the newest reference; NaN before
+x_sent | 4 3 | 1, m | world | pose of the newest reference; NaN before the first
 v_sent | 6 | m/s, rad/s | world | velocity of the newest reference
 a_sent | 6 | m/s², rad/s² | world | acceleration of the newest reference
 x_origin | 4 3 | 1, m | world | first pose of the interpolating polynomial
@@ -214,11 +206,11 @@ way_duration | | s | | duration of `way`; 0 without a polynomial
 way_continues | | 1 | | 1 if `way` does not end at rest
 way_capped | | 1 | | 1 if `way` ends before the newest sample
 shift | 6 6 | m, rad | world |
-    coefficients, by the power of time, of the shift after a jump of the base's pose
+    coefficients, by the power of time, of the reference's shift after a jump of the base's pose
 shift_time | | s | | time since the beginning of `shift`
 shift_duration | | s | | duration of `shift`; 0 without a shift
 since_sample | | s | | time since the newest sample of a planner
-sample_interval | | s | | mean time between the samples of a motion; else 0
+sample_interval | | s | | mean time between the samples of a motion; 0 without one
 # Limits, the base, the arm
 u_min | | n_m | N m, N | joints | torque_range | smallest torque of this step
 u_max | | n_m | N m, N | joints | torque_range | largest torque of this step
@@ -247,8 +239,8 @@ v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command of the last comm
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: present velocity command
 # A QP that Python has to solve
 qp_open | | | 1 | | | number 1 to 4 of the problem that Python has to solve; 0 without one
-qp_x | | 4 n | | reduced | | Python's solutions of the three QPs and the hierarchy, or NaN
-qp_tried | | 4 | 1 | | | 1 for each of these problems that Python has tried to solve
+qp_x | | 4 n | | reduced | | Python's solutions of three QPs and the hierarchy; NaN without one
+qp_tried | | 4 | 1 | | | 1 for each of these four problems that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP
 qp_fixed | | n_b | | reduced | | base's entries of q̈ before the QP; fixed in the arm's QP
@@ -263,13 +255,14 @@ Below a heading "Memory of" a module: name | shape | unit | frame | meaning.
 def _read_table(text: str) -> Iterator[Quantity]:
     module = ""
     for line in re.sub(r"\n\s+", " ", text).strip().splitlines():
+        if line.startswith("#"):
+            module = line.split()[-1]  # only for a heading "Memory of" a module
+            continue
         cells = [cell.strip() for cell in line.split("|")]
         if len(cells) == 5:
-            cells = [cells[0], "", *cells[1:4], module, f"memory: {cells[4]}"]
-        if line.startswith("#"):
-            module = line.split()[-1]
-        else:
-            yield Quantity(*cells)
+            name, shape, unit, frame, meaning = cells
+            cells = [name, "", shape, unit, frame, module, f"memory: {meaning}"]
+        yield Quantity(*cells)
 
 
 QUANTITIES: tuple[Quantity, ...] = tuple(_read_table(_TABLE))
@@ -326,13 +319,19 @@ class ControlStep:
         ends = np.cumsum([0, *map(math.prod, self._shapes)]).tolist()
         self.memory = np.zeros(ends[-1])
         """All quantities, one after the other: neighbours share cache lines."""
-        names = (each.name for each in QUANTITIES)
-        self.places = dict(zip(names, map(range, ends, ends[1:]), strict=True))
+        places = map(range, ends, ends[1:])
+        self.places = {q.name: place for q, place in zip(QUANTITIES, places, strict=True)}
         """Indices of the entries of each quantity in `memory`."""
-        self.__setstate__(pinocchio)
+        self._name_quantities()
+        self.__dict__.update(pinocchio)
         values = _Values(**{name: getattr(self, name) for name in _Values._fields})
         self.struct = STEP.made_of(values)
         """The same memory for compiled functions."""
+
+    def _name_quantities(self) -> None:
+        """Make each quantity an attribute: a view of its entries in `memory`."""
+        for (name, place), shape in zip(self.places.items(), self._shapes, strict=True):
+            setattr(self, name, self.memory[place.start : place.stop].reshape(shape))
 
     def __getattr__(self, name: str) -> Array:  # for type checkers, and for a clear error
         raise AttributeError(f"a control step has no quantity {name!r}")
@@ -348,10 +347,9 @@ class ControlStep:
         return own | {"struct": None, "pinocchio": None}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """Use the values of `state`, and make the quantities views of `memory`."""
+        """Use the values of `__getstate__`."""
         self.__dict__.update(state)
-        for (name, own), shape in zip(self.places.items(), self._shapes, strict=True):
-            setattr(self, name, self.memory[own.start : own.stop].reshape(shape))
+        self._name_quantities()
 
     def copy(self) -> Self:
         """A copy in separate memory, which no step overwrites."""

@@ -85,9 +85,9 @@ _GRAINS, _CLEARLY_FAR = 2.5, 10.0  # [-] smallest motions, relative to an encode
 # that change its reading, and that cause a report if the reading remains
 _EQUAL = 1e-9  # [rad or m] rounding error of this resolution
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
-_LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 # The period and the clock
-_NOISES = 50.0  # [-] `_LEAST_WAY` as a multiple of the standard deviation of the positions' noise
+_LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
+_NOISES = 50.0  # [-] the same, relative to the standard deviation of the positions' noise
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT, _MEASURED_RIGHT = 1.1, 1.02  # [-] largest ratio, or its inverse, that counts as 1, for a
 # stated period and for a measured one
@@ -114,7 +114,7 @@ _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predi
 _DRY_FRICTION = 0.03  # [-] dry friction of a joint, relative to its torque limit
 _REVERSAL = 0.002  # [-] RMS error of a cubic that is fitted to a step of acceleration, relative to
 # the step and to the squared duration; that of a parabola would hide delays from the first groups
-_DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of a gain
+_DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of the evidence by one group
 _CONVINCING = 3.0  # [-] evidence that changes the lag
 _VIOLENT = 1.5  # [-] smallest speed, relative to its limit, of a joint that can contradict the
 # torques; friction and stiff contacts let slower joints move less than their torques
@@ -167,15 +167,14 @@ def _same(a: Array, b: Array) -> bool:
 def _compare_joints(w: Any, read: Array, stamp: float, dt: float) -> tuple[Array, float, Array]:
     """Compare the readings (2, n_m) of each joint with its last ones, which they can repeat.
 
-    All readings with the last time stamp [s] are repetitions, and equal readings of a joint that
+    Repetitions are all readings with the last time stamp [s], and equal readings of a joint that
     moves; without a velocity, the motion must exceed the encoder's resolution. If no reading has
     changed, one repetition shows that all are repetitions; otherwise a joint's repetitions count up
-    to 0.1 s. Without time stamps, a new reading that is farther away than a joint moves in two
-    control periods at its new velocity shows that the equal readings before were repetitions too.
+    to 0.1 s. Without time stamps, a new reading can be farther away than a joint moves in two
+    control periods at its new velocity. Then the equal readings before it were repetitions too.
 
-    Returns:
-        (n_m,) whether each reading is a repetition; the number of such earlier repetitions of all
-        joints; (n_m,) the further number of each single joint.
+    Returns (n_m,) whether each reading is a repetition; the number of the equal readings before a
+    new one that were repetitions of all joints; and (n_m,) the further number of each joint.
     """
     n, clear, farthest, stamped = read.shape[1], False, 0.0, not math.isnan(stamp)
     found, sure, equal = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -186,9 +185,10 @@ def _compare_joints(w: Any, read: Array, stamp: float, dt: float) -> tuple[Array
         equal[i] = _same(read[:, i], w.reading[:, i])
         if not equal[i]:
             change = abs(q - w.reading[0, i])
-            grain = grain if grain > 0.0 else change  # a step of Euclid's algorithm: the new
+            # One step of Euclid's algorithm: the resolution divides each change.
+            grain = grain if grain > 0.0 else change
             rest = abs(change - grain * round(change / grain)) if grain > 0.0 else 0.0
-            w.grain[i] = rest if rest > _EQUAL else grain  # resolution divides the change
+            w.grain[i] = rest if rest > _EQUAL else grain
             far = change - 2.0 * dt * (0.0 if math.isnan(qd) else abs(qd)) > _STILL
             waited[i] = w.rested[i] if far and not stamped else 0.0
         elif not (known and qd == 0.0):
@@ -249,7 +249,7 @@ def _recall(w: Any, ago: int, count: int) -> Array:
 
 @compiled()
 def _store(w: Any, qdd: Array, a_base: Array) -> None:
-    """Store the accelerations of arm (n_m,) and base (n_b,) in one more period."""
+    """Store the accelerations of arm (n_m,) and base (n_b,) in a further control period."""
     row = (int(w.periods[()]) + 1) % HISTORY
     w.periods[()], w.known[()] = row, min(w.known[()] + 1.0, 1.0 * HISTORY)
     put(w.history[row], qdd)
@@ -260,9 +260,10 @@ def _store(w: Any, qdd: Array, a_base: Array) -> None:
 def _predict(robot: Any, gains: Any, w: Any, velocity: Array, fresh: bool, missed: float) -> None:
     """Predict the arm's motion in the period that has just ended, and in the `missed` ones after.
 
-    In missed periods the accelerations remain, and the law has used no velocity: `w.qd_used` gets
-    the predicted ones. There is a gap if the last torques or the last velocity of the base are
-    unknown, or with `HISTORY` or more missed periods; -1 stands for a second step in a period.
+    In missed periods the accelerations remain constant, and `w.qd_used` gets the predicted
+    velocities, because the law has used none. If the last torques or the base's last velocity are
+    unknown, or with `HISTORY` or more missed periods, the history ends (`w.known` = 0). With -1
+    missed periods, for a second step in a period, nothing is predicted.
     """
     if missed >= 0.0:
         if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
@@ -288,7 +289,7 @@ def _predict(robot: Any, gains: Any, w: Any, velocity: Array, fresh: bool, misse
 
 @compiled()
 def _explained(w: Any, dt: float, count: int) -> Array:
-    """(n_m, count) [rad] motion by the stored accelerations, from `count` until k periods ago."""
+    """(n_m, count) [rad]; column k: motion by `w.history` from `count` - 1 to k periods ago."""
     n_m = w.history.shape[1]
     found, speed, way = np.zeros((n_m, count)), np.zeros(n_m), np.zeros(n_m)
     for k in range(count - 2, -1, -1):
@@ -314,9 +315,9 @@ def _polynomials(ages: Array, count: int) -> Array:
 
 @compiled()
 def _find_lag(robot: Any, w: Any, q: Array, age: int, gains: Any) -> None:
-    """Estimate `w.lag` if the newest group of readings is full; add the positions q to a group.
+    """Estimate `w.lag` if the newest group of readings is full; then a new group begins.
 
-    `age` + 1 periods have passed since the last reading.
+    Add the positions q (n_m,), `age` + 1 periods after the last reading, to the newest group.
     """
     ages = w.group_age
     ages += age + 1.0
@@ -362,15 +363,15 @@ def _compare_lags(
 ) -> tuple[Array, Array, float, float]:
     """Compare the possible lags by the newest n groups; dt [s] is the control period.
 
-    A lag predicts the motion, up to a polynomial of time for the motion by external forces, and up
-    to an error by dry friction. The noise of each joint is unknown. "The present" is the better one
-    of the present lag and of no prediction.
+    A lag predicts the motion by `ways`, the result of `_explained`, up to a polynomial of time for
+    the motion by external forces, and up to an error by dry friction. The noise of each joint is
+    unknown. "The present" is the better one of the present lag and of no prediction.
 
-    Returns:
-        (lags,) logarithm of the likelihood ratio of each lag to the present. (lags,) [rad²] sum of
-        the squared residuals of each lag. The sum [rad²] below which a lag is clearly better than
-        the present. For the joints that have just been faster than `_VIOLENT` times their speed
-        limit, the logarithm of the likelihood ratio of no prediction to the best lag.
+    Returns (lags,) the logarithm of the likelihood ratio of each lag to the present, (lags,) [rad²]
+    the sum of the squared residuals of each lag, and the sum [rad²] below which a lag is clearly
+    better than the present. The last result is the logarithm of the likelihood ratio of no
+    prediction to the best lag, for the joints that have just been faster than `_VIOLENT` times
+    their speed limit.
     """
     lags, present, ages = len(w.evidence), int(w.lag[()]), w.group_age
     basis = _polynomials(ages[:n], 4 if n >= _CUBIC else 3)
@@ -402,12 +403,12 @@ def _compare_lags(
 
 @compiled()
 def _weigh_lags(robot: Any, w: Any, gains: Any) -> None:
-    """Update the evidence with a new group, and change the lag if the evidence is sufficient.
+    """Update the evidence for lags and for a contradiction; change the lag by sufficient evidence.
 
     The evidence for each lag is a CUSUM test: each group adds a logarithm of a likelihood ratio,
-    with an upper bound, minus `_DOUBT`. Sufficient evidence must come from the newest two thirds of
-    the groups too, or last for longer than all groups. Otherwise a force that begins within the
-    oldest groups would look like a delay.
+    with an upper bound, minus `_DOUBT`. Sufficient evidence must also follow from the newest two
+    thirds of the groups alone, or exceed the largest evidence that all groups can add. Otherwise a
+    force that begins within the oldest groups would look like a delay.
     """
     ages, lags, n = w.group_age, len(w.evidence), 0
     oldest = min(int(w.known[()]), HISTORY) - lags - 1
@@ -511,13 +512,13 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
     """Number of control periods dt [s] since the last step, and the lead of the clock over all.
 
-    `now` [s] is the time of this step. The number is 1 without a clock, infinite after a pause of
-    more than 0.1 s, and 0 for a second step in the same period, because some loops catch up after a
-    stall. A step that is up to 0.9 periods late, or up to half a period early, counts as one
-    period; if a coarse clock has not changed for some steps, these bounds count for each of them.
-    The lead, for `w.clock_ahead`, is the clock's time minus that of all counted periods; thus the
-    numbers add up to the true time. The lead decays by up to 5 % of a period in each period,
-    because the true control period can differ from dt by 5 %. It is 0 for a coarse clock.
+    `now` [s] is the time of this step. The number is 1 without a clock or a change of its time,
+    infinite after a pause of more than 0.1 s, and 0 for a second step in the same period, because
+    some loops catch up after a stall. A step that is up to 0.9 periods late, or up to half a period
+    early, counts as one period; if a coarse clock has not changed for some steps, these bounds
+    count for each of them. The lead, for `w.clock_ahead`, is the clock's time minus that of all
+    counted periods; thus the numbers add up to the true time. The lead decays by up to 5 % of dt in
+    each period, because the true period can differ by 5 % from dt. It is 0 for a coarse clock.
     """
     interval, steps, missed = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()], 0.0
     if not interval > 0.0:  # NaN too
@@ -540,7 +541,7 @@ def _watch_clock(w: Any, now: float, dt: float) -> float:
     relative to dt, is the mean interval in periods dt. It counts as 1 if it differs from 1 by less
     than 5 % or 0.75 standard deviations of the intervals: stalls and jitter do not show a wrong
     period. Two successive ratios other than 1 that agree set the fault `period`. The result is the
-    number of missed periods.
+    number of missed periods; it is -1 for a second step in the same period.
     """
     interval, steps, span = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()], w.clock_span
     periods, w.clock_ahead[()] = count_periods(w, now, dt)
@@ -677,7 +678,7 @@ def _take_base(
 ) -> None:
     """Store the base's readings, and compare them with each other and with the drive's model.
 
-    `velocity` (n_b,) is the one in use. If the readings are not `fresh`, the last pose remains. The
+    `velocity` (n_b,) is the one in use. A pose that is not `fresh` counts as a repetition. The
     fault `base` shows changes of velocity that the assumed acceleration does not explain.
     """
     time = w.elapsed[()]
@@ -760,9 +761,10 @@ def _learn_errors(
     """Update `w.v_error` and `w.blind_time` after a new reading.
 
     The error is that of the velocities that the law used for the time of the reading: `predicted`
-    (n_m,), or `w.qd_used` if the reading has a lag. It counts if a joint's last reading is more
-    than one of the `periods` (n_m,) ago. After a large error or a jump of the arm, the readings can
-    be older than assumed, unless a time stamp has shown their age.
+    (n_m,), or `w.qd_used` if the reading has a lag. It counts in `w.v_error` if the `periods`
+    (n_m,) of a joint, as in `process_noise`, are more than one. After a large error or a jump of
+    the arm, the readings can be older than assumed, unless time stamps have shown an age of more
+    than one period.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, stamped = math.exp(-steps * gains.dt / gains.noise_window), not math.isnan(w.stamp[()])
@@ -820,7 +822,8 @@ def take_readings(
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, after 0.1 s without one, and from the fault `contradictory` until
-    `reset`. `readings` are the first five fields of a `Measurement`, `now` and `time` [s] others.
+    `reset`. `readings` are the first five fields of a `Measurement`; `now` and `time` [s] are its
+    fields with these names.
     """
     _use_stated_lag(gains, w)
     base_pose, v, q_m, qd_m, drive = readings
@@ -871,12 +874,13 @@ def take_readings(
 def _is_older(gains: Any, w: Any, read: Array, old: Array, age: float, first: bool) -> bool:
     """Whether new readings are older than the last ones; predictions replace those of `old` joints.
 
-    The `age` by the time stamp is in seconds, or NaN. It sets the lag, together with the delay that
+    `read` (2, n_m) are positions and velocities, and `age` [s] is their age by the time stamp, or
+    NaN: then `_match_lag` can change the lag. An age sets the lag, together with the delay that
     time stamps do not show. A difference below 0.9 periods does not change the lag: jitter of the
     clock must not change the number of periods between two readings. A reading can be later by a
-    part of a period than the counted periods and the lag assume. The motion in the smaller part
-    that clock and time stamp show is subtracted from the positions; it is 0 if they contradict each
-    other. `read` (2, n_m) are the positions and velocities.
+    part of a period than the counted periods and the lag assume. Clock and time stamp each show
+    this part. The motion in the smaller part is subtracted from the positions, unless their signs
+    differ.
     """
     stamped, later, dt = not math.isnan(age), 0.0, gains.dt
     if stamped:

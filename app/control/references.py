@@ -51,7 +51,7 @@ _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 
 @compiled()
 def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether R (3, 3) is a rotation, p (3,) finite, v (6,) ≤ `FASTEST` and a (6,) ≤ `HARDEST`."""
+    """Whether R (3, 3) is a rotation, p (3,) finite, |v_i| ≤ `FASTEST` and |a_i| ≤ `HARDEST`."""
     slow = np.abs(v).max() <= FASTEST and np.abs(a).max() <= HARDEST  # not NaN
     if not (slow and math.isfinite(p.sum())):
         return False

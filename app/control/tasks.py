@@ -82,9 +82,8 @@ def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) ->
     """ẍ_rep = k_p n − k_v ṗ (3,) [m/s²]: pushes the arm's closest point away from the base.
 
     n (3,) is the normal from the base to the arm, of length 1 or less, ṗ (3,) [m/s] the velocity of
-    the closest point relative to the base; k_p is in m/s², k_v in 1/s. The compared method
-    `repulsive` simplifies the method by Dietrich et al. (2011, 2012) that §4.2.1 names: there the
-    force is the gradient of a potential, and the damping depends on the configuration.
+    the closest point relative to the base; k_p is in m/s², k_v in 1/s. docs/comparison.md describes
+    the compared method `repulsive`.
     """
     return k_p * n - k_v * velocity
 
@@ -185,12 +184,10 @@ def end_effector_task(
     The norms of the linear and of the angular part of k_p (x_d ⊖ x) are bounded by k_v times
     `max_speed` [m/s and rad/s]. Therefore the end-effector approaches a distant target at this
     speed. `pose` (6,) [m, rad] is x_d ⊖ x, `velocity` (6,) [m/s, rad/s] is ẋ_d − ẋ, and
-    `acceleration` (6,) [m/s², rad/s²] is ẍ_d − J̇_ee q̇. k_p is in 1/s², k_v in 1/s.
+    `acceleration` (6,) [m/s², rad/s²] is ẍ_d − J̇_ee q̇. k_p is in 1/s², k_v in 1/s. Returns b (6,)
+    of J_ee q̈ = b, and λ [m²], the squared norm of the bounded pose error (rad count as m).
 
     Paper: Eq. (26), its task T_2.
-
-    Returns:
-        b (6,) of J_ee q̈ = b; λ [m²], the squared norm of the bounded pose error (rad count as m).
     """
     b, rest = np.empty(6), 0.0
     for part in range(0, 6, 3):
@@ -214,12 +211,10 @@ def add_tracking(
     A remaining pose error adds the cost ½ w λ ‖q̈ + k_v q̇‖² in the metric H, where λ [m²] is the
     square of this error (`lm_damping`): the damping of Levenberg and Marquardt in the form by
     Sugihara (2011). Thus an arm at full stretch comes to rest. J (6, n) is J_ee, b (6,) the
-    right-hand side of T_2, `velocity` (n,) k_v q̇; H is (n, n), c (n,).
+    right-hand side of T_2, `velocity` (n,) k_v q̇; H is (n, n), c (n,). Returns (n, n) and (n,):
+    (1 + w λ) H + w JᵀJ, and c + w (λ H k_v q̇ − Jᵀ b).
 
     Paper: Eq. (26).
-
-    Returns:
-        (n, n) and (n,): (1 + w λ) H + w JᵀJ, and c + w (λ H k_v q̇ − Jᵀ b).
     """
     H_all = np.empty_like(H)
     for i in range(len(c)):
@@ -349,16 +344,13 @@ def insert_rows(
 
     the blend of (29), where q̈*_∖i is the solution without row i. With other rows, row i has no
     effect at β_i = 0, and at β_i = 1 it is satisfied up to an error in proportion to ε. The paper
-    blends all rows with the solution without any row, which jumps when a second row enters.
+    blends all rows with the solution without any row: this blend jumps when a second row enters.
 
     H (n, n) is symmetric positive definite; `J` (k, n), `b` (k,) and `beta` (k,) are the rows. The
-    first `fixed` entries of q̈ are fixed, and do not contribute to J_i H⁻¹ J_iᵀ.
+    first `fixed` entries of q̈ are fixed, and do not contribute to J_i H⁻¹ J_iᵀ. Returns (n, n)
+    H + Σ w_i J_iᵀ J_i and (n,) c − Σ w_i b_i J_iᵀ, with w_i = β_i / ((1 − β_i + ε) J_i H⁻¹ J_iᵀ).
 
     Paper: Eq. (29).
-
-    Returns:
-        (n, n) H + Σ w_i J_iᵀ J_i and (n,) c − Σ w_i b_i J_iᵀ, with
-        w_i = β_i / ((1 − β_i + ε) J_i H⁻¹ J_iᵀ).
     """
     H, c, L = H.copy(), c.copy(), cholesky(H[fixed:, fixed:])
     for i in range(len(b)):

@@ -29,8 +29,7 @@ ASSETS = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "robot_assets"
 """Folder of the robot descriptions, in a checkout or inside the installed package."""
 SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the delivered borders; in a writable checkout also of new ones (`cache_folder`)."""
-_EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
-"""Packages of the optional robots, which are installed together."""
+_EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")  # packages of the optional robots
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
 _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
 _MAX_ATTRIBUTES = 100  # [-] largest number per element; some parsers compare each with all others
@@ -79,7 +78,7 @@ def robot_names() -> list[str]:
 
 
 def check_robot_name(name: str) -> None:
-    """Raise an UnknownNameError if a robot does not exist; the message has `wrong_folders`."""
+    """Raise an UnknownNameError if a robot does not exist; its text ends with `wrong_folders`."""
     try:
         check_name("robot", name, robot_names())
     except UnknownNameError as error:
@@ -101,7 +100,7 @@ def wrong_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot: a delivered one precedes a user's; for an unknown name, in `ASSETS`."""
+    """Folder of a robot; a delivered one has precedence. For an unknown name: in `ASSETS`."""
     return next(iter(_folders(name)), ASSETS / name)
 
 
@@ -121,8 +120,10 @@ def _folders(name: str) -> list[Path]:
 
 
 def resolve_package_uri(uri: str) -> Path:
-    """The file of `package://PACKAGE/PATH` in one of the `package_roots`; an AssetError if there is
-    none, the address has a different form, or the path leads out of the package.
+    """The file `package://PACKAGE/PATH` of an installed package, in one of its `package_roots`.
+
+    Raises an AssetError if the address has a different form, the package or the file does not
+    exist, or the path leads out of the package.
     """
     scheme, _, rest = uri.partition("://")
     package, _, inner = rest.partition("/")
@@ -142,7 +143,7 @@ def resolve_package_uri(uri: str) -> Path:
 
 
 def followed(path: Path) -> Path:
-    """A file's path without symbolic links, except for a link to a file with another ending:
+    """A file's path without symbolic links. A link to a file with another ending stays, because
     readers select the format by the ending.
     """
     full = path.resolve()
@@ -150,8 +151,8 @@ def followed(path: Path) -> Path:
 
 
 def package_roots(package: str) -> list[Path]:
-    """Folders of an installed package, empty if it is not installed: those of the Python package,
-    except in a current directory that is not in `sys.path[1:]`, then those in `share_folders`.
+    """Folders of an installed package: those of the Python package, then those in `share_folders`.
+    A package in the current directory does not count, unless `sys.path[1:]` has this directory.
     """
     spec = None
     if package.isidentifier() and package != "__main__":  # which has no folder
@@ -190,9 +191,8 @@ def urdf_path(description: HasUrdf) -> Path:
     return path
 
 
-PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
-PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")
-"""Joints and links of the root under the robot in `planar_urdf`."""
+PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")  # under the robot in `planar_urdf`
+PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")  # the parents of these joints
 _ZERO_INERTIAL = (
     '<inertial><mass value="0"/>'
     '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
@@ -200,8 +200,8 @@ _ZERO_INERTIAL = (
 
 
 def resolved_urdf(description: HasUrdf) -> str:
-    """The robot's URDF (`read_urdf`) with the absolute path of each mesh; an AssetError also if a
-    mesh is missing, or if its relative path leads out of the URDF's folder.
+    """The robot's URDF (`read_urdf`) with the absolute path of each mesh; also raises an AssetError
+    if a mesh is missing, or if its relative path leads out of the URDF's folder.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
@@ -211,7 +211,7 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The URDF (`read_urdf`) with `file://` addresses of its meshes, without missing ones."""
+    """The URDF (`read_urdf`) with `file://` addresses of meshes, without shapes of missing ones."""
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link, shape in shapes_of(tree):
         if (mesh := shape.find("geometry/mesh")) is not None:
@@ -261,12 +261,11 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
     return tree
 
 
-_UTF16 = {
+_UTF16 = {  # by a file's first bytes; without these, a file that declares UTF-16 is read as UTF-8
     **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
     **{b"<\0": "utf-16-le", b"\0<": "utf-16-be"},
 }
-"""UTF-16 by a file's first bytes; without these, a file that declares UTF-16 is read as UTF-8."""
-_KINDS = {
+_KINDS = {  # kinds of files by their first bytes
     **dict.fromkeys((b"#usda", b"PXR-USDC"), "a USD file"),
     b"%PDF": "a PDF",
     b"solid ": "an STL mesh",
@@ -274,7 +273,6 @@ _KINDS = {
     b"glTF": "a glTF mesh",
     b"\x7fELF": "a program",
 }
-"""Kinds of files by their first bytes."""
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
 
@@ -374,7 +372,7 @@ def _mesh(reference: str, folder: Path) -> Path:
 
 
 def planar_urdf(description: HasUrdf) -> str:
-    """The `resolved_urdf` on a root with two prismatic joints (x, y) and a revolute one (yaw)."""
+    """The `resolved_urdf` on prismatic joints x and y and a revolute joint yaw, for pybullet."""
     text = resolved_urdf(description)
     parts = [f'<link name="{name}">{_ZERO_INERTIAL}</link>' for name in PLANAR_LINKS]
     ends = pairwise((*PLANAR_LINKS, root_link(text)))
@@ -405,6 +403,5 @@ def root_link(urdf: str) -> str:
     """Name of the root link of a URDF's text: the first link that is not the child of a joint."""
     tree = ElementTree.fromstring(urdf)
     children = {child.get("link") for child in tree.iterfind("joint/child")}
-    return next(
-        str(link.get("name")) for link in tree.iterfind("link") if link.get("name") not in children
-    )
+    names = (link.get("name") for link in tree.iterfind("link"))
+    return next(str(name) for name in names if name not in children)

@@ -36,22 +36,18 @@ class ArmDescription(Sourced):
     """The manipulator: its joints from the base outwards, its limits and its end-effector."""
 
     mount_link: str  # URDF link whose origin is the arm's mount: `p_base` of (9)
-    joints: tuple[str, ...] = Field(min_length=1)
-    """Names of the URDF's joints, from the base outwards."""
+    joints: tuple[str, ...] = Field(min_length=1)  # of the URDF, from the base outwards
     end_effector_link: str  # URDF link that carries the end-effector
     end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
     """[m] origin of the end-effector's frame in the frame of `end_effector_link`."""
     end_effector_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
     """[rad] fixed-axis roll, pitch and yaw of the end-effector's frame in the frame of
     `end_effector_link`; the z axis points out of the gripper."""
-    position_lower: tuple[Finite, ...] | None = None
-    """[rad or m] lower joint limits; default: from the URDF."""
-    position_upper: tuple[Finite, ...] | None = None
-    """[rad or m] upper joint limits; default: from the URDF."""
-    max_velocity: tuple[Positive, ...] | None = None
-    """[rad/s or m/s] speed limits of the joints; default: from the URDF."""
-    max_effort: tuple[Positive, ...] | None = None
-    """[N m or N] joint torque limits; default: from the URDF."""
+    # Limits of the joints, by default those of the URDF.
+    position_lower: tuple[Finite, ...] | None = None  # [rad or m]
+    position_upper: tuple[Finite, ...] | None = None  # [rad or m]
+    max_velocity: tuple[Positive, ...] | None = None  # [rad/s or m/s]
+    max_effort: tuple[Positive, ...] | None = None  # [N m or N]
     ready_position: tuple[Finite, ...]
     """[rad or m] joint positions of the ready posture, far from the limits and outside of all
     buffers."""
@@ -105,8 +101,8 @@ class LinePlace(Sourced):
 class RobotDescription(Strict):
     """All data of a robot that the method uses.
 
-    `bodies` are in the order of the kinematic chain, with the mobile base l_m first. Neighbours are
-    connected by a joint and never a pair.
+    `bodies` are in the order of the kinematic chain, with the mobile base l_m first. Neighbours in
+    this order are connected by a joint, and are never a pair.
     """
 
     name: Name
@@ -184,8 +180,8 @@ class RobotDescription(Strict):
 def register_base_kind(kind: type[BaseKind]) -> None:
     """Register a kind of base for descriptions: a record whose `kind` is a `Literal` of one name.
 
-    Raises a DescriptionError for several names, for another kind's name, or if the kind lacks a
-    definition.
+    Raises a DescriptionError if the `Literal` has several names, another kind has the name, or the
+    kind lacks a definition that `BaseKind` demands.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
@@ -207,16 +203,17 @@ for _kind in (DifferentialBase, HolonomicBase, CarLikeBase):
 
 def differential(description: RobotDescription) -> DifferentialBase:
     """The base of a robot; raises a DescriptionError if it is not differential."""
-    if not isinstance(description.base, DifferentialBase):
-        raise DescriptionError(
-            f"{description.name} has a {description.base.kind} base, not a differential one"
-        )
-    return description.base
+    base = description.base
+    if not isinstance(base, DifferentialBase):
+        raise DescriptionError(f"{description.name} has a {base.kind} base, not a differential one")
+    return base
 
 
 def load_description(path: Path) -> RobotDescription:
-    """Read and validate a description file; a DescriptionError names the file, and the invalid
-    field with its valid values.
+    """Read and validate a description file.
+
+    Raises a DescriptionError if the file is missing, unreadable or not TOML, or if a field is
+    missing, unknown or invalid; the text names the file, the field and the valid values.
     """
     try:
         return RobotDescription.model_validate(from_toml(file_text(path)))
@@ -236,8 +233,9 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by its folder's name, which replaces `name` in the file; raises
-    the errors of `check_robot_name` and `load_description`.
+    """The description of a robot by the name of its folder, which replaces the `name` in the file.
+
+    Errors: those of `check_robot_name` and `load_description`.
     """
     check_robot_name(name)
     description = load_description(robot_folder(name) / "robot.toml")

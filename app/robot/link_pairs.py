@@ -36,8 +36,8 @@ class ClosestPoints(NamedTuple):
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] p_b, moved along n by the radius of `b` around its core where `b` is round. In the
-    results of `PairDistances`, it is p_b."""
+    """(3,) [m] point of the core of `b` that belongs to p_b: p_b moved along n by the radius of `b`
+    around its core. It equals p_b where `b` is not round, and in the results of `PairDistances`."""
     parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 
@@ -49,8 +49,7 @@ class LinkPairs:
     mobile: tuple[Pair, ...]  # L_m, the pairs of the mobile base and a body of the arm
     manipulator: tuple[Pair, ...]  # L_m^c, the pairs of two bodies of the arm
     never: tuple[Pair, ...]  # pairs without a sample in collision
-    rates: dict[str, NonNegative] = field(hash=False)
-    """Share of the samples in collision, by the name of the pair."""
+    rates: dict[str, NonNegative] = field(hash=False)  # share of samples in collision, by pair
     least_distance_m: dict[str, Finite] = field(hash=False)
     """[m] smallest sampled signed distance, by the name of the pair."""
     samples: int  # number of sampled joint positions
@@ -63,11 +62,11 @@ class LinkPairs:
 
 
 class PairDistances(ShapeDistances):
-    """Distances and closest points of some pairs, by the collision library; `update` or
-    `update_from` for each configuration comes before the other methods, except for `sampled`.
+    """Distances and closest points of some pairs, by the collision library.
 
-    The distance of a body of several shapes is that of its nearest shape. `data` is pinocchio's
-    data of the last `update`.
+    Call `update` or `update_from` for each configuration, then the other methods; `sampled` needs
+    no earlier call. The distance of a body of several shapes is that of its nearest shape. `data`
+    is pinocchio's data of the last `update`.
     """
 
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
@@ -143,8 +142,7 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
 
     A pair is in L if at least one of the `samples` has a signed distance of zero or less.
 
-    Paper: Eq. (1).
-    Paper: Eq. (2).
+    Paper: Eq. (1), (2).
     """
     pairs, lm = candidate_pairs(model), model.body_names[0]
     q_m = sample_joints(model, samples, np.random.default_rng(seed))

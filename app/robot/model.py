@@ -59,9 +59,10 @@ class RobotModel:
     def __init__(self, description: RobotDescription) -> None:
         """Compile a description.
 
-        Raises the errors of `ConvexMesh.hull`, and a DescriptionError if pinocchio cannot read the
-        URDF, a joint or link is missing or unsuitable, a limit is invalid, or the ready position is
-        outside of the limits.
+        Raises an AssetError if the URDF is missing, the errors of `ConvexMesh.hull`, and a
+        DescriptionError if pinocchio cannot read the URDF, it lacks a joint or link, the arm's
+        joints are not in the order of the chain, one is continuous, a limit is invalid, or the
+        ready position is not within the position limits.
         """
         self.description = description
         full = whole_model(description)
@@ -105,8 +106,10 @@ class RobotModel:
         return np.array([x, y, math.cos(phi), math.sin(phi), *q_m])
 
     def joint_positions(self, q_m: Array, angles: Sequence[float] | Array) -> dict[str, float]:
-        """Positions [rad or m] by joint name, from q_m (n_m,) and the angles (n_w,) [rad] of the
-        base's `wheels`, which grow when the base rolls forward or steers to the left.
+        """Positions [rad or m] by joint name, from q_m (n_m,) and wheel angles (n_w,) [rad].
+
+        The angles are those of the base's `wheels`. They grow when the base rolls forward or steers
+        to the left.
         """
         signs, arm = self._wheel_signs, self.description.arm
         pairs = zip(self.description.base.wheels, angles, strict=True)
@@ -114,7 +117,7 @@ class RobotModel:
         return dict(zip(arm.joints, map(float, q_m), strict=True)) | turned
 
     def joint_inertia(self, q: Array) -> Array:
-        """(n_m,) [kg m² or kg] inertia of each joint at configuration q; all others are free."""
+        """(n_m,) [kg m² or kg] inertia of each joint at q, if base and other joints can move."""
         return 1.0 / np.diag(np.linalg.inv(self.mass_matrix(q, self.pin.createData())))[3:]
 
     def mass_matrix(self, q: Array, data: pin.Data) -> Array:
@@ -138,7 +141,7 @@ class RobotModel:
     def placed_meshes(
         self, base_pose: Sequence[float] | Array, q_m: Array
     ) -> list[tuple[str, trimesh.Trimesh]]:
-        """The meshes of all shapes of the bodies, in the world, each with its body's name."""
+        """Body's name and mesh, in the world, of each shape, at a base pose and q_m (n_m,)."""
         data, placed = self.pin.createData(), pin.GeometryData(self.geometry)
         q = self.configuration(base_pose, q_m)
         pin.updateGeometryPlacements(self.pin, data, self.geometry, placed, q)
@@ -214,10 +217,10 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
 
 
 def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
-    """A decorator that caches the `most` results of a function that were used last, for each model.
+    """A decorator for functions of a model; for each model, it caches the `most` latest results.
 
-    Callers share a result and must not change it. The other arguments must be hashable, and a
-    result must not refer to the model: otherwise neither of the two would ever be freed.
+    Callers share a result and must not change it. The other arguments must be hashable. A result
+    must not refer to the model: otherwise neither of the two would ever be freed.
     """
 
     def keep(function: OfModel[Options, Result]) -> OfModel[Options, Result]:
@@ -236,8 +239,10 @@ def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Op
 
 
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
-    """[m] upper bound of the distance between the ends of a chain of joints with the poses `links`,
-    each in the frame before it, and the limits `slides` (2, k) [m] of its prismatic joints.
+    """[m] upper bound of the distance between the two ends of a chain of joints.
+
+    `links` are the poses of the chain's frames, each in the frame before it. `slides` (2, k) [m]
+    are the lower and upper limits of the prismatic joints.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())
@@ -252,7 +257,7 @@ def whole_model(description: RobotDescription) -> pin.Model:
 
 
 def configured(whole: pin.Model, positions: Mapping[str, float]) -> Array:
-    """The configuration of a model with some joints at positions [rad or m], the others at zero."""
+    """Pinocchio's configuration with some joints at positions [rad or m], the others at zero."""
     moved = np.zeros(whole.nv)
     for name, position in positions.items():
         moved[whole.joints[whole.getJointId(name)].idx_v] = position
@@ -290,6 +295,9 @@ def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
         text = f"arm.joints: must be in the order of the chain: {', '.join(chain)}"
         raise _error(description, text)
     if model.nq != 4 + len(chain):
-        text = "revolute or prismatic; write a continuous joint as revolute with wide limits"
-        raise _error(description, f"arm.joints: each must be {text}")
+        raise _error(
+            description,
+            "arm.joints: each must be revolute or prismatic; "
+            "write a continuous joint as revolute with wide limits",
+        )
     return model

@@ -24,8 +24,7 @@ from app.strict import Array, Positive, Strict, Vector3
 if TYPE_CHECKING:
     import trimesh
 
-INTERVALS = 24
-"""[-] intervals along each edge of the cube whose grid is projected onto a superquadric."""
+INTERVALS = 24  # [-] intervals along each edge of the cube that is projected onto a superquadric
 Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
 
 
@@ -33,8 +32,7 @@ class _Placed(Strict):
     """A shape placed in the frame of its body."""
 
     xyz_m: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of the shape in the body's frame
-    rpy_rad: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] fixed-axis roll, pitch and yaw of the shape in the body's frame."""
+    rpy_rad: Vector3 = (0.0, 0.0, 0.0)  # [rad] its fixed-axis roll, pitch and yaw in this frame
 
     def placement(self) -> pin.SE3:
         """T_body_shape, the pose of the shape in the body's frame."""
@@ -160,9 +158,7 @@ class Superquadric(_Placed):
 
 
 def hull_mesh(points: Array) -> trimesh.Trimesh:
-    """The convex hull of points (N, 3) [m], its triangles facing outwards; a hull without a volume,
-    for example of points on a line, gets a thickness of 0.1 mm.
-    """
+    """The convex hull of points (N, 3) [m], facing outwards; 0.1 mm thick if it has no volume."""
     import trimesh  # see ConvexMesh.hull
     from scipy.spatial import QhullError
 
@@ -206,10 +202,8 @@ def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
     return convex_hull(np.unique(np.round(points / grid), axis=0) * grid, 2.0 * grid)
 
 
-Shape = Annotated[
-    Box | Sphere | Cylinder | Capsule | ConvexMesh | Hull | Superquadric,
-    Field(discriminator="type"),
-]
+_Kinds = Box | Sphere | Cylinder | Capsule | ConvexMesh | Hull | Superquadric
+Shape = Annotated[_Kinds, Field(discriminator="type")]
 
 
 def shape_mesh(shape: Shape) -> trimesh.Trimesh:
@@ -236,7 +230,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 
 
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """(…) [-] f of this module at p (…, 3) [m] in the shape's frame; `semi_axes` are in m."""
+    """(…) [-] f of this module at p (…, 3) [m] in its frame; `semi_axes` are a, b and c [m]."""
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
     return _power_sum(_power_sum(x, y, e2 / 2), z, e1 / 2) ** (2 / e1)
 
@@ -259,15 +253,12 @@ def polytope_vertices(
     semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
 ) -> Array:
     """(6 intervals² + 2, 3) [m] points of a superquadric's surface, in its frame; read-only."""
-    # Rays through a grid on a cube's faces; it is denser towards the edges, where a surface bends.
+    # The grid of the cube is denser towards its edges, where a small exponent bends the surface.
     s = np.sin(np.linspace(-0.5, 0.5, intervals + 1) * np.pi)
     u, v = (grid.ravel() for grid in np.meshgrid(s, s))
     ones = np.ones_like(u)
-    faces = [
-        np.roll(np.column_stack([sign * ones, u, v]), axis, axis=1)
-        for axis in range(3)
-        for sign in (-1.0, 1.0)
-    ]
+    ends = [np.column_stack([sign * ones, u, v]) for sign in (-1.0, 1.0)]
+    faces = [np.roll(face, axis, axis=1) for axis in range(3) for face in ends]
     cube = np.unique(np.round(np.vstack(faces), 12), axis=0)
     vertices = onto_surface(cube * np.asarray(semi_axes), semi_axes, e1, e2)
     vertices.setflags(write=False)

@@ -51,8 +51,9 @@ class Measurement(NamedTuple):
 
 
 def numbers(name: str, values: Any, *sizes: int) -> Array:
-    """An array of floats from a caller's values, with NaN for masked values; a MeasurementError if
-    they are not real numbers, or their count is not in `sizes`.
+    """An array of floats from a caller's values; masked values become NaN.
+
+    Raises a MeasurementError if they are not real numbers, or their count is not in `sizes`.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan))
@@ -71,9 +72,10 @@ def velocities(name: str, values: Any, size: int) -> Array:
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
-    """The measurement with arrays of floats and NaN for missing velocities, or a MeasurementError
-    if a field has a wrong type or number of values, a time is of single precision or not in
-    seconds, or a stamp has no `now`.
+    """The measurement with arrays of floats; missing velocities become NaN.
+
+    Raises a MeasurementError if the value is not a `Measurement`, a field has a wrong type or
+    number of values, a time is of single precision or not in seconds, or a stamp has no `now`.
     """
     if not isinstance(measurement, Measurement):
         fields, kind = ", ".join(Measurement._fields), type(measurement).__name__
@@ -233,7 +235,7 @@ def reduced_dynamics(
 ) -> tuple[Array, Array, Array]:
     """Sᵀ M S (n, n), Sᵀ h and Sᵀ g (n,), S = diag(B, 1); M, h, J, Y are from `pinocchio_views`."""
     n_b, g = B.shape[1], np.empty(len(h))
-    for k in range(len(h)):  # the weight that the k-th velocity moves, by the motion of its centre
+    for k in range(len(h)):  # weight of the moved bodies times vertical velocity of their centre
         moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1
         g[k] = _GRAVITY * moved[0] * _column(J, k, moved[1:])[2]
     n = n_b + len(h) - 3
@@ -349,12 +351,12 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
 
 
 def _before(vector: Array, count: int, size: int) -> Array:
-    """(count,) a view of the numbers before `vector` and before its successors, `size` bytes on."""
+    """(count,) view of the number before `vector` and before each next vector, `size` bytes on."""
     return as_strided(vector, (count, 2), (size, -8))[:, 1]
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Data for distances by the present poses alone: searches do not start at former results."""
+    """Data for distances by the present poses alone: no search starts at its previous result."""
     data = pin.GeometryData(geometry)
     for k in range(len(data.distanceRequests)):
         data.distanceRequests[k] = coal.DistanceRequest()
@@ -362,9 +364,10 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
-    """(k,) [m] a view of the signed distances in coal's results, which this call overwrites.
+    """(k,) [m] a view of the signed distances in coal's results: it changes with these results.
 
-    Reading the results one by one would take as long as computing them.
+    This call overwrites the distances. Reading the results one by one would take as long as
+    computing them.
     """
     if len(results) == 0:
         return np.zeros(0)
@@ -379,8 +382,8 @@ def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
 
 @compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
 def put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group of `values` (n,) into the array `into` (k,): group i
-    has the values with the indices `order[firsts[i]:firsts[i + 1]]`.
+    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
+    Group i has the values with the indices `order[firsts[i]:firsts[i + 1]]`.
     """
     for k in range(len(into)):
         into[k] = values[order[firsts[k]]]
@@ -394,8 +397,8 @@ _write_least = direct(put_least)
 class ShapeDistances:
     """Present signed distances of groups of pairs of shapes, by the collision library.
 
-    `signed` is the `distance_view` of all pairs; `order` and `firsts` are the groups, as in
-    `put_least`.
+    `signed` is the `distance_view` of all pairs of shapes; `order` and `firsts` define the groups
+    as in `put_least`.
     """
 
     def __init__(
@@ -482,22 +485,20 @@ class RobotState:
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
-        """From the next update on, multiply the arm's masses and inertias by a factor [-], without
-        those of links that are fixed to the base.
-        """
+        """From the next update on, scale mass and inertia of the arm's moving links by a factor."""
         self._factor = factor
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """From the next update on, the end-effector carries only a point mass `mass` [kg], at
-        `centre` (3,) [m] in the end-effector's frame.
+        """From the next update on, the end-effector carries a point mass `mass` [kg] instead of a
+        former one; `centre` (3,) [m] is its place in the end-effector's frame.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
         self._compile()
 
     def _compile(self) -> None:
-        """Make a model with other inertias; other threads use the former one in the meantime."""
+        """Set the model with the present inertias; until then other threads use the former one."""
         made, factor = self.model.pin, self._factor
         if factor != 1.0 or self._load.mass > 0.0:
             made = made.copy()

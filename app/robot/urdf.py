@@ -48,8 +48,10 @@ def origin(element: Element, where: str) -> pin.SE3:
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute `key`, or the default if element or attribute is missing; for
-    another count of finite numbers a RobotFileError, which begins with `where`.
+    """The numbers of an attribute `key`, or the default if element or attribute is missing.
+
+    Raises a RobotFileError, which begins with `where`, if the attribute does not have as many
+    finite numbers as the default.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -67,9 +69,7 @@ def without_commas(words: str) -> str:
 
 
 def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
-    """`rgba` of a visual's material or, without a colour, of its namesake in `materials`; None if
-    both lack a colour, or the visual has no material.
-    """
+    """`rgba` of a visual's material, or else of its namesake in `materials`; None without any."""
     if (material := visual.find("material")) is None:
         return None
     return rgba(material) or rgba(materials.get(material.get("name"), material))
@@ -96,9 +96,7 @@ def mesh_path(address: str) -> Path:
 
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of the mesh files of links, with the `.bin` files beside a `.gltf`; 0 without a
-    file, otherwise at least `SMALL` + 1: a few bytes can encode millions of triangles.
-
-    Errors: those of `resolve_package_uri`.
+    file, else above `SMALL`, as few bytes can encode many triangles. Errors: those of `mesh_path`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}

@@ -24,8 +24,8 @@ from app.simulation.loop.commands import STEPS, Pause, Play, Reset, StepOnce
 from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
+# Labels of actions, the same on all buttons and in the list of commands:
 PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
-"""Labels of actions, the same on all buttons and in the list of commands."""
 LIGHT = (
     "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
     "shadows. To change this, use “Low detail” in the tab View."
@@ -42,7 +42,7 @@ class Viewer:
         shared: SharedState,
         before: Viewer | None = None,
     ) -> None:
-        """Create the parts of a page; view, camera and `files` are those of `before`, if any."""
+        """Create the parts of a page; choices, camera and `files` are those of `before`, if any."""
         self.client, self.notifier, self.shared = client, notifier, shared
         self.panels: list[Panel] = []  # in the order of their creation
         plots = [plan.title for plan in shared.plans]
@@ -60,7 +60,7 @@ class Viewer:
         self.files = before.files if before else Job()  # creates the viewer's files
 
     def look(self, preset: str) -> None:
-        """Let the camera use a preset, by its key; "door" without a door raises `ConfigError`."""
+        """Let the camera use a preset of `PRESETS`; "door" without a door raises `ConfigError`."""
         if preset == "door" and self.timeline.shown().door is None:
             raise ConfigError("this scenario has no door")
         self.camera.wanted = preset
@@ -75,7 +75,7 @@ class Viewer:
             loop.send(Pause(False))
 
     def use_robot(self, name: str) -> None:
-        """Start to replace the robot for all viewers; changed parameters keep their values."""
+        """Start to replace the robot for all viewers, with the changed parameters if possible."""
         shared = self.shared
         shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
 
@@ -140,7 +140,7 @@ class Panel:
     def choice(
         self, label: str, titles: Mapping[str, str], act: Callable[[str], None], hint: str
     ) -> Any:
-        """Add a list of `titles`, a mapping by names; `act` gets the name of the chosen title."""
+        """Add a list of the values of `titles`; `act` gets the key of the chosen title."""
         names = {title: name for name, title in titles.items()}
         handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
         return self.on_update(handle, lambda event: act(names[event.target.value]))
@@ -161,17 +161,16 @@ class Panel:
     def follow(self, handle: Any, value: Any) -> None:
         """Assign a shared value to a widget if this value has changed since the last call.
 
-        To assign an unchanged value would reset a choice that is on its way to the simulation.
+        An unchanged value would replace a viewer's choice that is on its way to the simulation.
         """
         if self.followed.get(id(handle)) != value:
             self.followed[id(handle)] = handle.value = value
 
 
 class JobStatus(Panel):
-    """Progress of a running job with a button that cancels it; otherwise another text."""
+    """Progress of `job`, with a button that cancels it; while no job runs, the HTML of `idle`."""
 
     def __init__(self, viewer: Viewer, job: Job, idle: Callable[[], str] = lambda: "") -> None:
-        """Show the progress of `job`; while it does not run, show the HTML that `idle` returns."""
         super().__init__(viewer)
         self._job, self._idle = job, idle
         self.text = self._gui.add_html("", visible=False)

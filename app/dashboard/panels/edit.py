@@ -122,7 +122,7 @@ class EditPanel(Panel):
             self._gizmos[1][1].position = half_extents(self._shape(chosen))
 
     def _frame(self, key: str) -> str:
-        """Add a scene node for a body's frame, which moves with its joint; return its name."""
+        """Add a scene node at a body's frame, fixed to the body's joint; return the node's name."""
         model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
         frame = model.frames[model.getFrameId(body.frame)]
         position, wxyz = to_viser(frame.placement)
@@ -172,8 +172,8 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape, resized to `half_extents` of `half` (3,) [m] if its type permits them.
 
-    The radius of a sphere becomes the entry of `half` that changes most. The radius of a cylinder
-    or a capsule becomes the entry for x or y that changes most.
+    The radius of a sphere becomes the entry of `half` with the largest relative change; that of a
+    cylinder or a capsule becomes such an entry for x or y.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]

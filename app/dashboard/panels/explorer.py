@@ -22,7 +22,7 @@ FARTHEST = 5.0  # [m] largest base coordinate
 
 
 class ExplorerPanel(Panel):
-    """Sliders of base and arm; while they are in use, the page shows their posture."""
+    """Sliders of base and arm; while they are in use, the page shows the posture that they set."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -57,8 +57,7 @@ class ExplorerPanel(Panel):
 
         The posture is discarded if the simulation continues or restarts, or if the past is shown.
         """
-        posture = self.posture
-        if posture is None:
+        if (posture := self.posture) is None:
             return shown
         self._paused = self._paused or newest.paused
         continued = not newest.follows(self._since) or (self._paused and not newest.paused)
@@ -119,8 +118,7 @@ class ExplorerPanel(Panel):
             self._show(on=True)
 
     def _go(self, _: Any) -> None:
-        posture = self.posture
-        if posture is None:
+        if (posture := self.posture) is None:
             return
         x, y, phi = map(float, posture.base_pose)
         self._shared.loop.send(Reset(tuple(map(float, posture.q_m)), (x, y, phi)))

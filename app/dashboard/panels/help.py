@@ -64,7 +64,7 @@ _BOTH = (  # the demonstration in words, until its results replace them
     "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays, and the "
     "arm comes much too near or runs into it."
 )
-CARDS = {
+CARDS = {  # by the guide's state
     "welcome": Card(
         "This robot moves its base out of the way of its own arm",
         "A person guides the arm towards the base, and the base gives way. Without avoidance the "
@@ -116,8 +116,7 @@ CARDS = {
         "Compare",
     ),
 }
-"""Cards by the guide's state. The first three have the same first buttons: a card can change while
-the viewer is about to click."""
+"""The first three cards begin with the same buttons: a card can change just before a click."""
 SEEN = "dbb-tour-seen"  # key in the browser's storage after the first visit
 
 
@@ -136,8 +135,9 @@ class Guide(Panel):
     def go(self, state: str) -> None:
         """Show the card of a state, or none for ""; end a comparison that the guide has started.
 
-        After a demonstration, or for the card "pull", this also resets the simulation, unless a
-        person holds the robot. A comparison that a viewer has chosen meanwhile continues.
+        If the guide ends a comparison after a demonstration or for the card "pull", it also resets
+        the simulation, unless a person holds the robot. If a viewer has chosen other ghosts
+        meanwhile, their comparison continues.
         """
         with self._lock:
             anew = self.state == "demo" or state == "pull"

@@ -32,8 +32,8 @@ class Plots(Panel):
         self._tab = tab
         self._drawn: tuple[object, ...] = ()
         self._due = 0.0
+        # Content of each plot, by its title; callbacks replace it:
         self._plans = {plan.title: plan for plan in viewer.shared.plans}
-        """Content of each plot, by its title; callbacks replace it."""
         self._plots: dict[str, tuple[PlotPlan, viser.GuiUplotHandle]] = {}
         with tab:
             viewer.channel.sight(SIGHT)
@@ -60,9 +60,9 @@ class Plots(Panel):
     def update(self, moment: Moment) -> None:
         """Draw `LENGTH` of the run, up to the present or to `AHEAD` after a shown past instant.
 
-        A plot is hidden if it is not chosen or has no value, for example of an absent door. No
-        curve is drawn if the viewer does not see the tab, if nothing has changed, or if the next
-        drawing of the present is not yet due.
+        A plot is hidden if it is not chosen, or if its first curve has no value at the shown
+        instant, as without a door. No curve is drawn if the viewer does not see the tab, if nothing
+        has changed, or if the next drawing of the present is not yet due.
         """
         newest, shown = moment.newest.t, moment.shown
         view, live, plans = self._viewer.view, moment.live, dict(self._plans)
@@ -78,8 +78,7 @@ class Plots(Panel):
         drawn = (*request, newest, shown.t)
         soon = live and request == self._drawn[:2] and time.monotonic() < self._due
         until = newest if live else min(newest, shown.t + AHEAD)
-        unseen = SIGHT not in self._viewer.channel.seen
-        if unseen or soon or drawn == self._drawn:
+        if SIGHT not in self._viewer.channel.seen or soon or drawn == self._drawn:
             return
         past = self._viewer.timeline.between(until - LENGTH, until, SPACING)
         if not past:  # the simulation has just restarted

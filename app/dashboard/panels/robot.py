@@ -1,4 +1,4 @@
-"""Tab "Robot": choice of the robot, changes of its description, and a new robot from a zip."""
+"""Tab "Robot": choice of the robot for all viewers, its changes, and a new robot from a zip."""
 
 import re
 from functools import partial
@@ -30,24 +30,16 @@ _QUESTIONS = {  # label and hint, by the field of `Request`; "left", "right": `w
     "left": ("Left wheel", _WHEEL),
     "right": ("Right wheel", _WHEEL),
     "half_track": ("Half track [m]", "Effective half track; 0: measured between the wheels"),
-    "wheel_radius": (
-        "Wheel radius [m]",
-        "Only for a base without wheels in its URDF, together with the half track; otherwise 0",
-    ),
+    "wheel_radius": ("Wheel radius [m]", "For a URDF without wheels, with a half track; else 0"),
     "wheelbase": ("Wheelbase [m]", "0: measured to the steered wheels"),
     "steering_limit": ("Steering limit [rad]", "To either side; 0: from the URDF"),
-    "assume_inertia": (
-        "Assume masses",
-        "Estimate masses from volumes if the URDF has none for the arm",
-    ),
+    "assume_inertia": ("Assume masses", "Compute masses from volumes if the arm has none"),
 }
 _WHEELS = "“Left wheel” and “Right wheel”"
-_NO_ROBOT = RobotEntry("", "", "", "", own=False, report=False)
+_NO_ROBOT = RobotEntry("", "", about="", problem="there is no robot", own=False, report=False)
 
 
 class RobotPanel(Panel):
-    """Tab "Robot": choice of the robot that is simulated for all viewers, and two folders."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, shared = self._gui, viewer.shared
@@ -103,8 +95,8 @@ class RobotPanel(Panel):
     @property
     def _chosen(self) -> RobotEntry:
         """The chosen robot; `_NO_ROBOT` if the list is empty."""
-        found = (each for each in self._entries if each.label == self._list.value)
-        return next(found, _NO_ROBOT)
+        label = self._list.value
+        return next((each for each in self._entries if each.label == label), _NO_ROBOT)
 
     def _renew_list(self, name: str) -> None:
         """Offer the robots that the last search found; choose the robot `name` if it exists."""
@@ -116,8 +108,6 @@ class RobotPanel(Panel):
 
 
 class NewRobotPanel(Panel):
-    """Folder "Your own robot": upload of a zip, questions about its URDF, and progress."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, build = self._gui, viewer.shared.robot_build
@@ -149,10 +139,15 @@ class NewRobotPanel(Panel):
         if package is not None and urdf != self._shown_urdf:
             self._shown_urdf = urdf
             if (contents := package.urdfs.get(urdf)) is not None:  # not of the previous zip
-                links, wheels = contents.links, ((FIND, *contents.endless), FIND)
-                offers = {"base": (links, contents.root), "tip": (links, contents.last)}
-                for name, offer in (offers | {"left": wheels, "right": wheels}).items():
-                    self.fields[name].options, self.fields[name].value = offer
+                links, wheels = contents.links, (FIND, *contents.endless)
+                for name, options, first in (
+                    ("base", links, contents.root),
+                    ("tip", links, contents.last),
+                    ("left", wheels, FIND),
+                    ("right", wheels, FIND),
+                ):
+                    self.fields[name].options = options
+                    self.fields[name].value = first
         asks = package is not None and progress is None
         for name, field in self.fields.items():
             field.visible = asks and self._suits(name)
@@ -161,8 +156,7 @@ class NewRobotPanel(Panel):
 
     def request(self) -> Request:
         """Return the request from all fields that apply; `ConfigError` if they are not valid."""
-        package = self._package
-        if package is None:
+        if (package := self._package) is None:
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
         value["out"] = new_folder(value["out"])
@@ -203,7 +197,7 @@ def report_html(page: str) -> str:
 
 
 def outcome_html(build: RobotBuild) -> str:
-    """Describe the result of the last job, and the next step; empty before the first upload."""
+    """Describe the last upload or build, and the next step; empty before the first upload."""
     failed, built, package = build.problem, build.built, build.package  # a job can change them
     if failed:
         return problem(in_words(failed))

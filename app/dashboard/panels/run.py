@@ -1,4 +1,4 @@
-"""Tabs "Run", "Lab" and "Compare": scenario, readings, and other controllers."""
+"""Tabs "Run" (scenario, controller, results), "Lab" (speed, readings) and "Compare" (ghosts)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,20 +9,9 @@ import viser
 
 from app.control import CONTROLLERS
 from app.control.buffer_watch import needed_text
+from app.dashboard import markup
 from app.dashboard import phrases as words
-from app.dashboard.markup import (
-    FAINT,
-    ONE_LINE,
-    RIGHT,
-    banner,
-    bar,
-    cell,
-    mark,
-    reading,
-    row,
-    small,
-    table,
-)
+from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, cell, reading, row, small, table
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, Viewer
 from app.dashboard.panels.tuning import changing_html
 from app.dashboard.panels.why import distance_bar, state_chip
@@ -40,11 +29,10 @@ from app.simulation.trace.words import METHOD_WORDS, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice without a scenario
 OFF = "off"  # choice without another robot
+# Choices in the lists of scenarios and of controllers, by name:
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
-"""Choices in the lists of scenarios and of controllers, by name."""
-INPUTS = {"the end-effector's path": "path", "the person's force": "force"}
-"""Values of `Compare.same` by their labels."""
+INPUTS = {"the end-effector's path": "path", "the person's force": "force"}  # `Compare.same`
 _SIZE = "font-size:.82em"
 _STARTS = "A scenario starts at once. A pull of the end-effector ends it."
 _SCORES = (  # label with unit, field of `Score`, text of a value, function for the best or None
@@ -59,8 +47,6 @@ _SCORES = (  # label with unit, field of `Score`, text of a value, function for 
 
 
 class RunPanel(Panel):
-    """Tab "Run": common scenario, controller, pause and result; distances at the shown time."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, sink = self._gui, viewer.shared.loop
@@ -100,8 +86,6 @@ class RunPanel(Panel):
 
 
 class LabPanel(Panel):
-    """Tab "Lab": speed and readings of the simulation, and the load of the machine."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, sink = self._gui, viewer.shared.loop
@@ -121,8 +105,6 @@ class LabPanel(Panel):
 
 
 class ComparePanel(Panel):
-    """Tab "Compare": choice of the ghosts' controllers, and the scores of all robots."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui = self._gui
@@ -164,11 +146,11 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return a table of scores; ✓ marks the best value of robots without contact or overlap."""
+    """Return a table of scores; ✓: best of robots without contact or overlap, if they differ."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (
-        cell(f"{mark('●', colour)} {score.controller}", RIGHT, "font-weight:600", head=True)
+        cell(f"{markup.mark('●', colour)} {score.controller}", RIGHT, "font-weight:600", head=True)
         for score, colour in zip(scores, ("currentColor", *map(css, GHOSTS)), strict=False)
     )
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
@@ -196,7 +178,7 @@ def _distance(d: float) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """Return lines as HTML: "With avoidance (dbb): no contact, smallest distance 72 mm", ..."""
+    """Return lines such as "With avoidance (dbb): no contact, smallest distance 72 mm", as HTML."""
     lines = (
         f"<b>{METHOD_WORDS[each.controller].capitalize()}</b> ({each.controller}): {each.text}"
         for each in scores
@@ -205,15 +187,15 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def course_html(course: Course, busy: str, robot: RobotDescription) -> str:
-    """Return preparation (`Snapshot.busy`), or progress or result of the last scenario, if any."""
+    """Return as HTML the preparation `busy`, or else progress or result of the last scenario."""
     if busy:
         text = "The simulation continues after this."
-        return banner("notice", f"{words.sentence(busy)} …", text)
+        return markup.banner("notice", f"{words.sentence(busy)} …", text)
     if not course.name or (last := course.last) is None:
         return ""
     about = f"{words.sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
     if course.running:
-        filled = bar(min(course.until / max(course.duration, DT), 1.0))
+        filled = markup.bar(min(course.until / max(course.duration, DT), 1.0))
         return small(f"{about}{filled}{course.until:.1f} of {course.duration:.0f} s")
     ended = f"stopped at {course.until:.1f} s" if course.until < course.duration else "ended"
     changed = course.case is not None and course.name in SCENARIOS
@@ -284,7 +266,7 @@ def pairs_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) 
     about = "signed distance d of its convex bodies, negative where they overlap; the mark is d_b ="
     rows = (
         row(
-            cell(mark("●", SERIES[order.index(pair.name) % len(SERIES)])),
+            cell(markup.mark("●", SERIES[order.index(pair.name) % len(SERIES)])),
             cell(spoken[pair.name], ONE_LINE),
             cell(distance_bar(pair.d, snapshot.d_b, state), "width:26%;padding-left:.4em"),
             cell(_distance(pair.d), RIGHT),

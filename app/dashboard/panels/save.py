@@ -1,4 +1,4 @@
-"""Tab "Save": files for the viewer, which are created while the simulation runs."""
+"""Tab "Save": creates a picture, files of an interval, and the case of the last scenario."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -29,8 +29,6 @@ NamedFile = tuple[str, bytes]
 
 
 class SavePanel(Panel):
-    """Buttons that create files: a picture, files of an interval, and the last scenario's case."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._job = self._gui, viewer.files
@@ -65,7 +63,7 @@ class SavePanel(Panel):
         self._drawn = moment.shown, self._viewer.grip.reach is not None
 
     def _file(self, label: str, icon: Any, make: Callable[[], NamedFile], **look: Any) -> None:
-        """Add a button that sends a file to the viewer; `make` returns it in a separate thread."""
+        """Add a button that sends the viewer the file of `make`, which a separate thread calls."""
         client = self._viewer.client
 
         def send() -> None:

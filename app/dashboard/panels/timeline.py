@@ -1,4 +1,4 @@
-"""Timeline: the bar at the lower edge of the page, which selects the shown instant."""
+"""Timeline: a bar, drawn by the page's own script, that selects a viewer's shown instant."""
 
 from typing import Any
 
@@ -9,8 +9,6 @@ from app.simulation.trace.snapshot import Snapshot
 
 
 class TimelinePanel(Panel):
-    """Timeline of one viewer; the page's own script draws it across the page."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         timeline, strip, channel = viewer.timeline, viewer.shared.strip, viewer.channel
@@ -34,7 +32,7 @@ class TimelinePanel(Panel):
             channel.on(word, act)
 
     def update(self, moment: Moment) -> None:
-        """Send new rows of the strip, new or changed events, and times and state if changed."""
+        """Send new rows of the strip, changed and new events, and times and state if changed."""
         newest, shown, _ = moment
         strip, line = self._strip, self._timeline
         runs, closed = self._sent

@@ -1,4 +1,4 @@
-"""Tab "Tune": widgets of all parameters, from the configuration's records, and parameter files."""
+"""Tab "Tune": widgets of all parameters, which the viewers share, and files of parameters."""
 
 from __future__ import annotations
 
@@ -20,20 +20,15 @@ FIRST_NAME = "tuning"
 
 
 class TuningPanel(Panel):
-    """Tab "Tune"; all viewers share the parameters, and see the changes by the others."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         tuning = self._tuning = viewer.shared.tuning
         self.widgets: dict[str, ParameterWidget] = {}  # by the parameter's path
+        # Folder, reset button, title, and paths of the parameters of each section:
         self._folders: list[tuple[Any, Any, str, tuple[str, ...]]] = []
-        """Folder, reset button, title, and paths of the parameters of each section."""
-        self.buttons(
-            "Changes",
-            {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": self._reset},
-            hint="A step is the change of a parameter, or of several by a file or a reset. All "
-            "viewers share the steps.",
-        )
+        acts = {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": self._reset}
+        hint = "A changed parameter, a loaded file or a reset is a step. All viewers share them."
+        self.buttons("Changes", acts, hint)
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
         self.on_update(self._all, lambda _: self._show_advanced())
         for section in sections():
@@ -118,20 +113,19 @@ class ParameterWidget(Panel):
         self.is_marked = False  # whether the value differs from its default; set before each update
         self._tuning, self._title = viewer.shared.tuning, unbroken(about.title)
         gui, value, low, high = self._gui, self._tuning.config.value(path), about.low, about.high
-        look: dict[str, Any] = {"hint": f"{about.help} {about.allowed}"}
+        title, tip = self._title, f"{about.help} {about.allowed}"
         self.exponent: Any = None  # slider of the value's decimal logarithm
         if about.choices:
-            look = {"initial_value": str(value), "hint": about.help}
-            self.handle: Any = gui.add_dropdown(self._title, about.choices, **look)
+            look: Any = {"initial_value": str(value), "hint": about.help}
+            self.handle: Any = gui.add_dropdown(title, about.choices, **look)
         elif about.log:
-            look |= {"min": low, "max": high, "step": 1.0}
-            self.handle = gui.add_number(self._title, float(value), **look)
+            self.handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=tip)
             label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
             look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
             self.exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
         else:
             step = slider_step(low, high)
-            self.handle = gui.add_slider(self._title, low, high, step, float(value), **look)
+            self.handle = gui.add_slider(title, low, high, step, float(value), hint=tip)
         if not about.choices:
             self.handle.precision = 6
         for handle in filter(None, (self.handle, self.exponent)):

@@ -11,8 +11,6 @@ from app.dashboard.view import BORDER, CHOICES, LABELS, LAYERS, PAGE, View
 
 
 class ViewPanel(Panel):
-    """Check boxes and lists for the fields of the view, and camera buttons."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, view = self._gui, viewer.view
@@ -44,7 +42,7 @@ class ViewPanel(Panel):
         self._values.append((widget, get))
 
     def _add(self, folder: str) -> None:
-        """Add a widget for each field of the view that belongs to this folder."""
+        """Add a widget for each field of the view that belongs to the folder."""
         view = self._viewer.view
         for each in fields(View):
             if (about := each.metadata).get("folder") != folder:

@@ -1,4 +1,4 @@
-"""Header and tab "Why": the cause of the robot's motion in a sentence, three rows, and details."""
+"""Header over the scene, and tab "Why": the cause of the robot's motion in words and numbers."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 
-UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack with which the task counts as met
+UNDISTURBED = 0.05, 0.2  # [m/s²], [rad/s²] largest slack of an end-effector's task that is met
 BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
@@ -29,8 +29,6 @@ _LEVELS: dict[tuple[LevelName, ...], tuple[str, str]] = {  # label and hint of a
 
 
 class WhyPanel(Panel):
-    """Tab "Why", and the header over the scene, which is visible with every tab."""
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui = self._gui
@@ -71,8 +69,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
 
 def details_html(snapshot: Snapshot) -> str:
     """Return tables, as HTML, of the quantities behind `sentence`, or a note if there are none."""
-    why = snapshot.explanation
-    if why is None:
+    if (why := snapshot.explanation) is None:
         return small("There are no details for this instant.")
     if (pair := why.bearing) is None:
         return small("Avoidance does not act: no link pair is inside its buffer.")
@@ -99,7 +96,7 @@ def details_html(snapshot: Snapshot) -> str:
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return the header as HTML: verdict, sentence, nearest pair, base speed, real-time factor."""
+    """Return as HTML: verdict, `sentence`, nearest pair, base speed, real-time factor or pause."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = distance_bar(pair.d, d_b, verdict.state)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
@@ -115,7 +112,7 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
 
 
 def distance_bar(d: float, d_b: float, state: State) -> str:
-    """Return a bar for d [m] with a mark at d_b [m]; it is full from `BAR_RANGE` on or at d < 0."""
+    """Return a bar for d [m] with a mark at d_b [m]; it is full for d < 0 and d >= `BAR_RANGE`."""
     share = 1.0 if d < 0.0 else min(d / BAR_RANGE, 1.0)
     return bar(share, css(COLOURS[state]), min(d_b / BAR_RANGE, 1.0))
 
@@ -129,8 +126,7 @@ def state_chip(state: State, text: str = "") -> str:
 
 def sentence(snapshot: Snapshot) -> str:
     """Return the first reported contact, if any, and the cause of the robot's motion in words."""
-    why = snapshot.explanation
-    if why is None:
+    if (why := snapshot.explanation) is None:
         return "There is no explanation for this instant."
     touches = contacts(snapshot)
     first = f"{touches[0].capitalize()} touch{_more(touches)}. " if touches else ""
@@ -175,12 +171,13 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
         a, b = words.body(apart.a, why.chain), words.body(apart.b, why.chain)
         also = f" {b.capitalize()} and {a} are also pushed apart."
     if pair.above >= STEEP:  # base motion cannot help
-        least = millimetres(snapshot.config.barrier.d_min)
-        rest = f"; the arm itself comes no nearer than {least}"
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.limited:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
+        else:
+            least = millimetres(snapshot.config.barrier.d_min)
+            rest = f"; the arm itself comes no nearer than {least}"
         return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
     (x, y), (forward, left, _) = _total(why, "f", 2), planar(why.axes, snapshot.base_velocity)
@@ -193,11 +190,11 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     """Describe the controller "barrier": the text has the minimum distance, not d_b."""
     least = millimetres(snapshot.config.barrier.d_min)
-    pair = next((each for each in why.near if each.limited), pair)
-    cause = _cause(pair, why, None)
-    if not pair.limited:
+    limited = next((each for each in why.near if each.limited), None)
+    cause = _cause(limited or pair, why, None)
+    if limited is None:
         return f"{cause}; this method acts only near its minimum distance of {least}."
-    moves = _base_moves(snapshot, why, pair) or "the base stays where it is"
+    moves = _base_moves(snapshot, why, limited) or "the base stays where it is"
     effect = _task_effect(why, limited=True) + _off_target(snapshot)
     return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {effect}."
 
@@ -224,7 +221,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 
 
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
-    """Describe the effect on person or task; `limited`: the method itself resists the person."""
+    """Describe the effect on person or task; `limited`: the arm certainly resists a person."""
     if why.mode == "guiding":
         if limited or any(pair.limited or links_repel(pair) for pair in why.near):
             return "the arm resists further guiding"
@@ -250,7 +247,7 @@ def _the(name: str, why: Explanation) -> str:
 
 
 def _force_rows(why: Explanation) -> list[str]:
-    """Return rows: the force's direction, its two parts and sum, and accelerations of the base."""
+    """Return rows: direction, two parts and sum of the force, and accelerations of the base."""
     n_b, f = len(why.axes), _total(why, "f", 2)
     away, turn = (
         (_total(why, part, 2), _total(why, f"{part}_acceleration", n_b))

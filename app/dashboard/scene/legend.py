@@ -14,7 +14,7 @@ QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")  # that c
 
 
 class BaseMeasure(NamedTuple):
-    """Words for the base's factor in the score (10), which `BaseKind.singularity` computes."""
+    """Words for the base's factor in the score (10), which is `BaseKind.measure`."""
 
     title: str  # HTML
     unit: str  # of the measure and of the score; empty without one

@@ -75,8 +75,7 @@ class CarLikeBase(BaseKind):
     steering_rate_radps: Positive  # [rad/s] largest steering rate, also at standstill
     wheel_radius_m: Positive  # [m] radius of the wheels; for drawing only
     wheel_joints: tuple[str, ...]  # joints of the URDF that roll; for drawing only
-    steering_joints: tuple[str, ...]
-    """Joints of the URDF that turn with the steering; for drawing only."""
+    steering_joints: tuple[str, ...]  # joints of the URDF that steer; for drawing only
 
     @property
     def J_m(self) -> Array:
@@ -172,8 +171,8 @@ class CarLikeBase(BaseKind):
         self, speed: float, angle: float, v_cmd: Sequence[float] | Array
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω). The
-        speed is the nearest one along the present arc, less if the command's arc bends to the other
-        side, and 0 if it would oppose the command.
+        speed is the one along the present arc that is nearest to the command; smaller if this arc
+        and the command's bend to opposite sides; 0 if it would oppose the command.
         """
         top = self.max_linear_velocity_mps
         wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max

@@ -10,9 +10,7 @@ from app.strict import Array
 
 
 class HolonomicBase(TurningBase):
-    """A base with three independent velocities ν = q̇_b = (v_x, v_y, ω). No point is singular: in
-    (10) the measure is 1 everywhere, and thus S = R.
-    """
+    """A base with independent velocities ν = q̇_b = (v_x, v_y, ω); its measure is 1, so S = R."""
 
     axes: ClassVar[tuple[Axis, ...]] = (Axis("v_x", False), Axis("v_y", False, way="left"), TURN)
 
@@ -29,5 +27,5 @@ class HolonomicBase(TurningBase):
 
     @property
     def measure(self) -> Measure:
-        """1 [-] everywhere."""
+        """1 [-] everywhere: no point is singular."""
         return Measure(1.0, 0.0)

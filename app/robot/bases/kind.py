@@ -23,8 +23,7 @@ class Axis(NamedTuple):
 
     symbol: str  # displayed name, such as "v"
     angular: bool  # whether the motion turns the base; its unit is then rad/s, otherwise m/s
-    way: Literal["forward", "left"] = "forward"
-    """Direction of the motion in the base's frame; no meaning for an angular axis."""
+    way: Literal["forward", "left"] = "forward"  # direction of a linear motion in the base's frame
 
 
 FORWARD = Axis("v", False)
@@ -51,8 +50,7 @@ def planar(axes: Sequence[Axis], values: Sequence[float] | Array) -> Planar:
 
 def twist_map(axes: Sequence[Axis]) -> Array:
     """(3, n_b) matrix from values along the axes to the fields of `Planar`; TᵀT = I."""
-    rows = ("forward", "left", "turn")
-    columns = [rows.index("turn" if axis.angular else axis.way) for axis in axes]
+    columns = [Planar._fields.index("turn" if axis.angular else axis.way) for axis in axes]
     return np.eye(3)[:, columns]
 
 
@@ -89,8 +87,8 @@ class Wheels(NamedTuple):
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
-"""Function from the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the
-command (n_b,) to velocity and drive one step later; it does not change its arguments."""
+"""Function from the velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the velocity
+command (n_b,) to the velocity and the drive one step later; it does not change its arguments."""
 
 
 @cache
@@ -113,8 +111,7 @@ class BaseKind(Sourced, ABC):
     max_linear_velocity_mps: Positive  # [m/s]
     max_linear_acceleration_mps2: Positive  # [m/s²]
     traction_limit_n: Positive  # [N] largest force of the wheels on the floor
-    drive_time_constant_s: Positive
-    """[s] time constant of the drive's first-order response to a velocity command."""
+    drive_time_constant_s: Positive  # [s] of the drive's first-order response to a velocity command
 
     @model_validator(mode="before")
     @classmethod
@@ -164,8 +161,8 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴; 1 for the
-        measure (7), for which S_0 [m⁴/rad⁴] is chosen.
+        """S_u, the divisor of the score in (13), in the unit of `measure` per m⁴/rad⁴. It is 1 for
+        the measure (7), because the gain S_0 [m⁴/rad⁴] of (13) is chosen for this measure.
         """
         return 1.0
 
@@ -192,8 +189,9 @@ class BaseKind(Sourced, ABC):
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """The feasible velocity (n_b,) [m/s or rad/s] nearest to a desired one (here the same),
-        which is within the limits of each axis; `before` (n_b,) is the previous command.
+        """(n_b,) [m/s or rad/s] the feasible velocity nearest to `wanted`; here, `wanted` itself.
+
+        `wanted` (n_b,) is within the limits of each axis; `before` (n_b,) is the previous command.
         """
         del before
         return wanted
@@ -219,8 +217,9 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] acceleration by the drive, (v_cmd − v)/τ, within the limits, to
-        which the command is clipped too; `drive` is as in `drive_at_rest`.
+        """(n_b,) [m/s² or rad/s²] acceleration by the drive: (v_cmd − v)/τ, clipped to the limits.
+
+        First v_cmd is clipped to the limits of the velocity. `drive` is as in `drive_at_rest`.
         """
         del drive
         gain, limits = 1.0 / self.drive_time_constant_s, (self.max_velocity, self.max_acceleration)
