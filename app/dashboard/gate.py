@@ -122,7 +122,7 @@ class Gate:
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Check the connections of the server that viser starts inside; none: `ServerError`."""
+        """Check all connections of the server that viser starts in this context."""
         with _lock:
             original, seen = websockets_server.serve, []
 

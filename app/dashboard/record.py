@@ -322,7 +322,7 @@ class Timeline:
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """Return the marked snapshots, else those of the last 60 s; `LogError` if below two."""
+        """Return the marked snapshots, else those of the last 60 s; `LogError` for less than 2."""
         self.shown()
         with self._lock:
             found = list(self._marked) if self.begin is not None else self._loop.stored()
