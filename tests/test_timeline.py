@@ -126,6 +126,21 @@ def test_a_second_mark_cannot_exceed_the_longest_interval(moved):
     assert (timeline.begin if moved == "the start" else timeline.end) == pytest.approx(second)
 
 
+def test_a_new_start_keeps_the_stored_snapshots_of_the_interval():
+    past = Past(20.0)
+    timeline = line_of(past)
+    for t, mark in ((5.0, timeline.mark_begin), (15.0, timeline.mark_end)):
+        timeline.go_to(t)
+        mark()
+    past.run(20.02, 100.0)  # then the loop has only the last 60 s
+    timeline.go_to(8.0)
+    timeline.mark_begin()
+    times = [snapshot.t for snapshot in timeline.interval()]
+    assert len(times) == pytest.approx((times[-1] - times[0]) / FRAME + 1)
+    assert times[0] == pytest.approx(8.0, abs=2 * BIN)
+    assert times[-1] == pytest.approx(15.0)
+
+
 def test_plots_unpack_one_snapshot_per_interval(monkeypatch):
     past = Past(90.0)
     unpacked, loads = [], pickle.loads

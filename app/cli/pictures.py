@@ -200,7 +200,7 @@ def replay(
     read = common.trace_of(log)
     model, data = common.load_robot_and_border(read.meta.robot)
     duration = read.snapshots[-1].t - read.snapshots[0].t
-    with progress_bar(out.name, duration) as on_progress:
+    with progress_bar(out.name, 1.0) as on_progress:
         page = replay_html(read, model, data.clouds, look, on_progress=on_progress)
     write_whole(out, page)
     result = {"page": str(out), "scenario": read.meta.scenario, "robot": read.meta.robot}

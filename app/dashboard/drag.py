@@ -48,10 +48,10 @@ class Grip:
         return self._held is not None
 
     def take(self, link: str | None = None, point: Point | None = None) -> None:
-        """Hold a point instead of the one that is held: by default the end-effector.
+        """Release the held point, and hold another one; without a `link`, the end-effector.
 
-        `point` (3,) [m] is in the frame of the joint `link`. If the page shows the past, no point
-        is held: the page returns to the present, with a message.
+        `point` (3,) [m] is in the frame of the joint `link`. If the page shows the past, it returns
+        to the present with a message, and no point is held.
         """
         with self._lock:
             self.release()
@@ -65,9 +65,9 @@ class Grip:
     def pull(self, target: Array, *, by_keys: bool = False) -> None:
         """Pull the held point to a target (3,) [m] in the world.
 
-        The call has no effect unless a point is held by keys (`by_keys`) or by a drag (otherwise).
-        A negative z is replaced by 0; the first one of a pull warns the viewer. If `reach` is set,
-        no pull is sent: `reach` gets the unchanged target if the end-effector is held.
+        A call with `by_keys` has no effect unless keys hold the point; another call has no effect
+        unless a drag does. A target below the floor is moved to z = 0, with one warning per held
+        point. If `reach` is set, no pull is sent: it gets the end-effector's unchanged targets.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -79,7 +79,7 @@ class Grip:
                     self.reach(np.array(target))
                 return
             if z < 0.0 and not self._warned:
-                self._warned = True  # warn once per drag
+                self._warned = True
                 self.notifier.warn(self._client, "The floor is at z = 0; the target stays on it.")
             self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._client.client_id))
             self._pulls = True
@@ -87,9 +87,9 @@ class Grip:
     def nudge(self, ahead: Sequence[float], snapshot: Snapshot) -> None:
         """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead` (3,).
 
-        `ahead` is forward, left and up in the base's frame, clipped to [−1, 1]. The target stays
-        within `MOST_NUDGED` of the end-effector in `snapshot`. The first call of a pull returns to
-        the present. During a drag, the call has no effect.
+        `ahead` is forward, left and up in the base's frame, clipped to [−1, 1]. The target begins
+        at the end-effector in `snapshot`, and stays within `MOST_NUDGED` of it. The first call of a
+        pull makes the page show the present. During a drag, a call has no effect.
         """
         with self._lock:
             if self.holds_anything and not self._by_keys:
@@ -118,7 +118,7 @@ class Grip:
                 self._sink.send(Release(self._client.client_id))
 
     def release_if_still(self, seconds: float) -> None:
-        """Release a point whose last `take` or `pull` is over `seconds` ago; warn the viewer."""
+        """Release the point, with a warning, if its last `take` or `pull` is over `seconds` ago."""
         with self._lock:
             if self._held is None or monotonic() - self._moved <= seconds:
                 return
@@ -144,7 +144,7 @@ class DragHandles:
         self._dragged = False  # whether the viewer drags the gizmo
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless it is dragged; make new meshes draggable."""
+        """Move the gizmo to the end-effector unless dragged; make new meshes of links draggable."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:

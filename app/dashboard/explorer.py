@@ -29,10 +29,9 @@ class Explorer:
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
         """Use pairs and parameters of a snapshot; `clouds` has P_i by the names of pairs of L_m."""
-        mobile, manipulator = (
-            tuple(Pair(*pair.name.split("-")) for pair in snapshot.pairs if pair.mobile == kind)
-            for kind in (True, False)
-        )
+        pairs = {Pair(*each.name.split("-")): each.mobile for each in snapshot.pairs}
+        mobile = tuple(pair for pair in pairs if pairs[pair])
+        manipulator = tuple(pair for pair in pairs if not pairs[pair])
         found = LinkPairs(mobile, manipulator, (), {}, {}, samples=0, seed=0)
         data = BorderData(found, dict(clouds), "cache")
         self._model = model
@@ -61,11 +60,11 @@ class Explorer:
         return replace(self._response, **{name: getattr(snapshot, name) for name in about})
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
-        """Find a posture that brings the end-effector to `place` (3,) [m] in the world.
+        """Return a posture with the end-effector near `place` (3,) [m, world], and the error [m].
 
-        Return this posture, and the distance [m] of the end-effector from `place`. The search
-        starts from `posture`; base and direction of the end-effector's z axis stay. If the distance
-        is not below `CLOSE`, a second search lets the axis turn; the nearer posture is returned.
+        The search starts from `posture`, and keeps the base and the direction of the end-effector's
+        z axis. If the error is not below `CLOSE`, a second search lets the axis turn; then the
+        result with the smaller error is returned.
         """
         search, found = self._search, []
         search.stand(posture.base_pose)

@@ -1,7 +1,7 @@
 """Checks of connections and of the pages' messages, before viser handles them.
 
 viser has no hook for these checks. Therefore this module wraps the functions that viser passes to
-`websockets` when its server starts. viser itself does not check the types of a message's fields.
+`websockets` when its server starts.
 """
 
 import dataclasses
@@ -122,10 +122,7 @@ class Gate:
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Check all connections of the server that viser starts in this context.
-
-        Raises `ServerError` if viser starts no server, or starts it in an unexpected way.
-        """
+        """Check all connections of the server that viser starts in this context."""
         with _lock:
             original, seen = websockets_server.serve, []
 
@@ -147,7 +144,7 @@ class Gate:
     async def _answer(
         self, inner: Callable[..., Any], connection: "_Connection", request: Request
     ) -> Response | None:
-        """Return a refusal or `inner`'s answer, with scripts and headers; None for a websocket."""
+        """Return a refusal, or the answer of viser's `inner` with scripts; None for a websocket."""
         if (answer := self._refusal(request, connection.method)) is None:
             answer = inner(connection, request)
             answer = await answer if hasattr(answer, "__await__") else answer
@@ -163,18 +160,19 @@ class Gate:
         return answer
 
     def _refusal(self, request: Request, method: str) -> Response | None:
-        headers, status, more = request.headers, HTTPStatus.BAD_REQUEST, ""
+        headers = request.headers
         path, _, query = request.path.partition("?")
+        status, more = HTTPStatus.BAD_REQUEST, ""  # unless a case below replaces them
         if method not in _METHODS:
             status = HTTPStatus.METHOD_NOT_ALLOWED
             why = f"this server does not accept the method {method}; use GET or HEAD"
         elif twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             why = f"the request has the header {twice[0]} more than once"
         elif not is_allowed(
-            headers.get("Origin"), host := headers.get("Host"), self._own_names, self._allowed
+            headers.get("Origin"), headers.get("Host"), self._own_names, self._allowed
         ):
             status, why = HTTPStatus.FORBIDDEN, "this page is not allowed to connect to this server"
-            name = re.match(r"[\w.-]+", host or "")
+            name = re.match(r"[\w.-]+", headers.get("Host", ""))
             more = _WAY_OUT.format(name=name[0] if name else "NAME")
         elif headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:
@@ -196,7 +194,7 @@ class Gate:
         return Response(status.value, status.phrase, Headers(fields), body)
 
     async def _handle(self, inner: Callable[..., Any], connection: Any) -> None:
-        """Run viser's handler `inner`; it gets only checked messages of pages of this version."""
+        """Run viser's handler `inner`, which gets only checked messages of this version's pages."""
         if connection.subprotocol != _VERSION:  # viser would print each wrong version
             return await connection.close(1002, "this page is of another version; reload it")
         connection.transport.max_size = 2**13  # [bytes] read at once, then other connections
@@ -221,7 +219,7 @@ class _Connection(ServerConnection):
     uploads: "Uploads"
 
     def data_received(self, data: bytes) -> None:
-        """Read data; replace the first line of a request by that of GET and HTTP/1.1."""
+        """Read data; replace method and version of a request by GET and HTTP/1.1."""
         if self.method not in _METHODS:  # the answer is on its way: ignore the request's content
             return
         if self.request is None and (line := _REQUEST.match(data)):
@@ -260,11 +258,11 @@ def is_allowed(
 ) -> bool:
     """Whether the server answers a request; `origin` and `host` are its headers, None if absent.
 
-    `Host` must be an IP address, localhost, the name of this machine, or one of `own_names`,
-    because another website could let its own name point to this machine. A browser sends `Origin`
-    with each websocket request. The origin must have the same name and port as `Host`, or a name in
-    `allowed`, because a proxy can change `Host`. Other programs send no origin; only their `Host`
-    is checked. A request with neither header is answered. `own_names`, `allowed`: in lower case.
+    `Host` must be an IP address, localhost or below it, the name of this machine, or one of
+    `own_names`, because another website could let its own name point to this machine. `Origin`,
+    which browsers send with each websocket request, must have the same name and port as `Host`, or
+    a name in `allowed`, because a proxy can change `Host`. Other programs send no origin. A request
+    with neither header is answered. `own_names` and `allowed` are in lower case.
     """
     if host is None:
         return origin is None
@@ -304,16 +302,16 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """Register of a viewer's unfinished uploads; viser stores parts of unknown files forever."""
+    """Register of a viewer's unfinished uploads; viser would store unregistered parts forever."""
 
     def __init__(self, largest: int, everyone: Collection["Uploads"] = ()) -> None:
-        """Accept files of up to `largest` [bytes], and `_MOST_UPLOADS` of `everyone` at a time."""
+        """Accept files up to `largest` [bytes]; `everyone` has the registers of all viewers."""
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
         """Number of missing bytes, and indices of missing parts, by the name of the transfer."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Register a new file of `size` [bytes] with `parts` parts, or raise `RefusedError`."""
+        """Register a new file of `size` [bytes] in `parts` parts, or raise `RefusedError`."""
         if size > self._largest:
             limit = f"the limit is {self._largest / 1e6:.0f} MB"
             raise RefusedError(f"a file of {size / 1e6:.0f} MB; {limit}")
@@ -325,7 +323,7 @@ class Uploads:
             self.unfinished[transfer] = size, range(parts)
 
     def add(self, transfer: str, part: int, size: int) -> None:
-        """Register a part of `size` [bytes]; raises `RefusedError` if it is not the next part."""
+        """Register a part of `size` [bytes], or raise `RefusedError` if the file cannot have it."""
         left, parts = self.unfinished.get(transfer, (0, range(0)))
         if part not in parts[:1] or size > left or (size < left and not parts[1:]):
             raise RefusedError("this part does not belong to an announced upload")
@@ -396,7 +394,7 @@ def is_alike(value: Any, current: object) -> bool:
 
 
 def _is_plain(value: Any, longest: int, depth: int) -> bool:
-    """Whether numbers, texts (`longest` [characters]) and levels (`depth`) are within limits."""
+    """Whether a value has no large number, no text over `longest`, and at most `depth` levels."""
     if isinstance(value, int | float):
         return abs(value) <= _LARGEST_NUMBER  # False for NaN
     if isinstance(value, str):

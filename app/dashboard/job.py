@@ -1,7 +1,7 @@
 """Background jobs of the page: cancellable work in parallel to the simulation.
 
-Work that fully occupies a core runs in a separate process (`Job.run`), which imports this module
-first. So that this import is fast, the functions for such work import their modules themselves.
+Work that fully occupies a core runs in a separate process (`Job.run`), which imports the module of
+the work. So that the import of this module is fast, its functions import other modules themselves.
 """
 
 from __future__ import annotations
@@ -37,9 +37,8 @@ _PATIENCE = 10.0  # [s] timeout for the end of a thread
 def give_back(*, frozen: bool = False) -> None:
     """Run the garbage collector, and return the freed memory to the system.
 
-    Python itself rarely searches old objects, such as a model or a border, for reference cycles.
-    If `frozen`, the search includes the objects that `gc_frozen` has excluded; then all remaining
-    objects are excluded.
+    Python itself rarely searches old objects for reference cycles. If `frozen`, objects that
+    `gc_frozen` has excluded are searched too; if there are any, all objects are excluded again.
     """
     frozen &= gc.get_freeze_count() > 0
     if frozen:
@@ -72,8 +71,8 @@ class Job:
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
         """Start the job `title`: run `work` in a new thread; `text` describes its first step.
 
-        If `work` raises `Cancelled`, a `DbbError` or an `OSError`, `problem` has the message. After
-        any other exception, `problem` refers to the log. Raises `ConfigError` if a job is running.
+        If `work` raises a `DbbError` or an `OSError`, `problem` has its message; after any other
+        exception, `problem` refers to the log. Raises `ConfigError` if a job is running.
         """
         with self._lock:
             running = self.progress  # read once, because the work's thread may clear it
@@ -82,8 +81,8 @@ class Job:
             self.progress = Progress(title, time.monotonic(), text)
         self.problem = ""
         self._cancelled.clear()
-        what = title, work
-        self._thread = threading.Thread(target=self._work, args=what, name="job", daemon=True)
+        job = partial(self._work, title, work)
+        self._thread = threading.Thread(target=job, name="job", daemon=True)
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
@@ -96,7 +95,6 @@ class Job:
             self.progress = self.progress._replace(text=text, share=share)
 
     def check(self) -> None:
-        """Raise `Cancelled` if the running job was cancelled."""
         if self.cancelled:
             raise Cancelled("cancelled")
 
@@ -131,7 +129,7 @@ class Job:
 
 
 def loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
-    """Return a robot's model and border data; `sampling` has arguments of `load_border_data`."""
+    """Return model and border data of a robot; `sampling`: arguments of `load_border_data`."""
     from app.border.cache import load_border_data
     from app.robot.description import load_robot
     from app.robot.model import RobotModel

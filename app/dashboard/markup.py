@@ -69,7 +69,6 @@ def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str
 
 
 def reading(name: str, value: str) -> str:
-    """Return a row with the name of a quantity and its value."""
     return row(cell(name, FAINT, ONE_LINE), cell(value, RIGHT))
 
 
@@ -89,7 +88,6 @@ def mark(sign: str, colour: str) -> str:
 
 
 def minus(text: str) -> str:
-    """Replace all hyphens in a text with numbers by minus signs."""
     return text.replace("-", "−")
 
 

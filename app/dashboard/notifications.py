@@ -32,7 +32,6 @@ class Notifier:
         self._show(client, title, text, "blue")
 
     def clear(self, client: viser.ClientHandle) -> None:
-        """Remove all notifications of a viewer."""
         for key, (_, _, handle, _) in list(self._shown.items()):
             if key[0] == client.client_id:
                 handle.remove()

@@ -193,7 +193,6 @@ class Page(Viewer):
             gui.add_markdown(TEXT.format(keys=keys))
 
     def _shortcuts(self) -> list[tuple[str, Any, Callable[[], None]]]:
-        """Return label, key or None, and action of each entry in the list that `Ctrl K` opens."""
         views = ((f"Camera: {name}", str(i), name) for i, name in enumerate(PRESETS, 1))
         return [
             (f"{PAUSE} or {CONTINUE.lower()}", "space", self.toggle_pause),
@@ -214,7 +213,7 @@ class Page(Viewer):
 
 
 def hung_html(silence: float) -> str:
-    """Return an error message if the simulation is silent for at least `PATIENCE` [s], or ""."""
+    """Return an error message as HTML if `silence` [s] is at least `PATIENCE`, otherwise ""."""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."
     return banner("error", "The simulation does not respond", text) if silence >= PATIENCE else ""
 

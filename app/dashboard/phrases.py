@@ -38,8 +38,9 @@ def sentence(text: str) -> str:
 def angle(x: float, y: float) -> str:
     """Return a direction of the base's frame in degrees from forward: "150° to the left"."""
     degrees = round(math.degrees(math.atan2(y, x)))
-    side = f" to the {'left' if degrees > 0 else 'right'}" if degrees % 180 else ""
-    return f"{abs(degrees)}°{side}"
+    if degrees in (0, 180, -180):
+        return f"{abs(degrees)}°"
+    return f"{abs(degrees)}° to the {'left' if degrees > 0 else 'right'}"
 
 
 def direction(x: float, y: float) -> str:
@@ -93,7 +94,7 @@ def speeds(velocity: Array) -> str:
 
 
 def acceleration(*axes: float) -> str:
-    """Return a base's acceleration in words, from forward, left [m/s²] and turning [rad/s²]."""
+    """Return a base's acceleration in words; axes: forward, left [m/s²] and turning [rad/s²]."""
     units = "m/s²", "m/s²", "rad/s²"
     ways = ("forward", "backward"), ("left", "right"), ("turning left", "turning right")
     parts = zip(axes, units, ways, strict=True)

@@ -66,8 +66,8 @@ class Course:
         self.least = np.inf  # [m] smallest distance of all pairs
         self.pull = self.speed = 0.0  # [N] largest external force; [m/s] peak end-effector speed
         self.path = 0.0  # [m] length of the base's path
-        self.inside = self.left = False  # a touch of the first snapshot still lasts; has ended
-        self.touched = self.contact = False  # another touch began; the plant reported a contact
+        self.inside = self.left = False  # whether a touch of the first snapshot lasts; has ended
+        self.touched = self.contact = False  # whether another began; the plant reported a contact
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
@@ -153,12 +153,13 @@ class Strip:
         self._bin, self._last = [], nearest
 
     def _note(self, t: float, kind: str, subject: str, text: str) -> None:
-        """Add an event; if it has occurred within `_QUIET`, update its text instead."""
+        """Add an event, or update the text of the same event if it was seen within `_QUIET`."""
         number, seen = self._seen.get((kind, subject), (-1, -np.inf))
         if t - seen <= _QUIET and number in self.events:
             self.events[number] = self.events[number]._replace(text=text)
         else:
-            number, self._numbered = self._numbered, self._numbered + 1
+            number = self._numbered
+            self._numbered += 1
             self.events[number] = Event(t, kind, text)
             self.events.pop(number - 400, None)  # at most 400 are stored
         self._seen[kind, subject] = number, t
@@ -173,10 +174,7 @@ def pulled(snapshot: Snapshot) -> float:
 def happenings(
     before: Snapshot | None, now: Snapshot, chain: Sequence[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, subject and text of each event between two snapshots.
-
-    If `before` is None, only the start of a scenario is an event.
-    """
+    """Yield kind, subject and text of each event since `before`; None: only a scenario's start."""
     earlier = before.scenario if before else ""
     if now.scenario != earlier:
         yield "scenario", "", f"{now.scenario} starts" if now.scenario else f"{earlier} ends"
@@ -231,7 +229,7 @@ class Timeline:
     def shown(self) -> Snapshot:
         """Return the snapshot to draw; continue a replay, and extend an interval without an end.
 
-        After a restart, the newest snapshot is shown, and such an interval is removed.
+        After a restart, the newest snapshot is shown, and an interval without an end is removed.
         """
         with self._lock:
             newest = self._loop.latest()
@@ -282,7 +280,7 @@ class Timeline:
             self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
-        """Go forward by a time [s], or back if negative; at least to the next snapshot there."""
+        """Go forward by a time [s], or back if it is negative; by at least one snapshot, if any."""
         t = self.shown().t
         ahead = [s for s in self._stored() if (s.t - t) * seconds > 0.0] or self._stored()
         self.show(min(ahead, key=lambda stored: abs(stored.t - t - seconds)).snapshot)
@@ -295,7 +293,8 @@ class Timeline:
     def mark_begin(self) -> None:
         """Mark the shown instant as the start of the interval.
 
-        A later end in the same run remains, but it is at most `MOST_MARKED` after the start.
+        A later end in the same run remains, or moves to `MOST_MARKED` after the start. Without such
+        an end, the interval grows up to `MOST_MARKED`.
         """
         with self._lock:
             begin, end = self.shown().t, None if self.earlier else self.end
@@ -305,7 +304,8 @@ class Timeline:
     def mark_end(self) -> None:
         """Mark the shown instant as the end of the interval; `LogError` if it is the start.
 
-        An earlier start in this run remains, but it is at most `MOST_MARKED` before the end.
+        An earlier start in this run remains, or moves to `MOST_MARKED` before the end. Without such
+        a start, the interval has this length, or begins at the oldest stored snapshot.
         """
         with self._lock:
             at = self.shown().t  # an interval without an end has all snapshots now
@@ -322,10 +322,7 @@ class Timeline:
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """Return the snapshots of the interval, oldest first; without marks, of the last 60 s.
-
-        Raises `LogError` for fewer than two snapshots.
-        """
+        """Return the marked snapshots, else those of the last 60 s; `LogError` for less than 2."""
         self.shown()
         with self._lock:
             found = list(self._marked) if self.begin is not None else self._loop.stored()
@@ -347,7 +344,7 @@ class Timeline:
         return [stored for stored in (*old, *kept) if stored.t >= begin]
 
     def _mark(self, begin: float, end: float | None) -> None:
-        """Mark an interval [s], with the snapshots of its previous marks in this run."""
+        """Mark an interval [s]; snapshots of the previous interval of this run remain in it."""
         marked = [] if self.earlier else self._marked
         known = {stored.t: stored for stored in (*self._stored(begin), *marked)}
         last = np.inf if end is None else end + 1e-9

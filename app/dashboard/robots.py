@@ -40,7 +40,6 @@ class RobotEntry(NamedTuple):
 
 
 def robot_entries() -> list[RobotEntry]:
-    """Return all robots, sorted by name."""
     entries = []
     for name in assets.robot_names():
         title, about, problem = name, "", None
@@ -79,7 +78,6 @@ class RobotSwitch(Job):
     replaces_robot = True
 
     def __init__(self, start_loop: StartLoop | None) -> None:
-        """Create an idle switch; if `start_loop` is None, the robot cannot be switched."""
         super().__init__()
         self._start_loop = start_loop
         self.possible = start_loop is not None  # whether the robot can be switched
@@ -88,10 +86,9 @@ class RobotSwitch(Job):
         self._taken = threading.Event()
         self._loop: LoopHandle | None = None
 
-    def look(self) -> list[RobotEntry]:
-        """Search for all robots, and return them; this reads the files of each robot."""
+    def look(self) -> None:
+        """Search for robots, and update `entries`; this reads the files of each robot."""
         self.entries = robot_entries()
-        return self.entries
 
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
@@ -128,7 +125,7 @@ class RobotSwitch(Job):
         self._taken.set()
 
     def close(self) -> None:
-        """Cancel the running switch, and stop the last simulation that was started here."""
+        """Cancel the running switch, and stop the last simulation that a switch has started."""
         self._taken.set()
         super().close()
         if self._loop is not None:
@@ -219,7 +216,6 @@ class RobotBuild(Job):
         self.start(request.name, "starting", work)
 
     def close(self) -> None:
-        """Cancel the job and delete the upload."""
         super().close()
         self._forget()
 

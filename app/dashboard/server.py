@@ -87,7 +87,6 @@ class DashboardServer:
         close_server(self.viser)
 
     async def _part(self, client: viser.ClientHandle) -> None:
-        """End the page of a disconnected viewer at once, before the next frame."""
         if page := self.pages.get(client.client_id):
             page.end()
 
@@ -99,7 +98,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the pull of a viewer if the pull's target has not moved for over `PATIENCE`."""
+        """Release the point that a viewer holds, after `PATIENCE` without a pull of it."""
         if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
@@ -120,13 +119,13 @@ class DashboardServer:
             self._fail("Drawing has stopped", error)
             while not self._stopping.wait(0.2):
                 if client := self._newcomer():
-                    _show_failure(client, "Drawing has stopped", error)
+                    client.gui.add_html(banner("error", "Drawing has stopped", plain(error)))
 
     def _draw_picture(self) -> None:
         """Draw a frame of each page; no local name may keep a robot that this call replaces."""
         self.shared.watch(bool(self.viser.get_clients()))
-        # A switch of the robot removes widgets. In a slow browser, an update shortly before would
-        # arrive after the removal and cause an error: so the last one is `TEXTS_EVERY` ago.
+        # A switch of the robot removes widgets. In a slow browser, an update of a widget could
+        # arrive after its removal and cause an error: so the last update is `TEXTS_EVERY` ago.
         if texts := time.monotonic() >= self._texts_due:
             self._switch_robot()
             self._texts_due = time.monotonic() + TEXTS_EVERY
@@ -149,9 +148,9 @@ class DashboardServer:
     def _demonstrate(self, pages: Sequence[Page], newest: Snapshot) -> None:
         """Start, repeat or end the demonstration for a single viewer who has not touched the page.
 
-        With the controller dbb, it starts after `UNTOUCHED` seconds without scenario, pause and
-        comparison, and again `REST` after its end. The first input, a second viewer or another
-        controller ends it.
+        With the controller dbb, it starts after `UNTOUCHED` seconds without a scenario, a pause or
+        a comparison, and again `REST` seconds after each end. The first input, a second viewer or
+        another controller ends it.
         """
         due, self._demonstration_due = self._demonstration_due, None
         if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
@@ -179,7 +178,6 @@ class DashboardServer:
             self.pages.pop(number).end()
 
     def _build_page(self, client: viser.ClientHandle) -> None:
-        """Build a viewer's page; it replaces the viewer's page of another robot, if any."""
         number, before = client.client_id, self.pages.get(client.client_id)
         try:
             if before is None:
@@ -192,7 +190,7 @@ class DashboardServer:
             client.scene.reset()
             client.gui.reset()
             self.shared.loop.send(Release(number))  # a part of the page can have pulled
-            _show_failure(client, _PAGE_ENDED, error)
+            client.gui.add_html(banner("error", _PAGE_ENDED, plain(error)))
             if before is not None:
                 self.pages.pop(number).end()
             return
@@ -221,10 +219,6 @@ class DashboardServer:
             page.fail(title, error)
 
 
-def _show_failure(client: viser.ClientHandle, title: str, error: BaseException) -> None:
-    client.gui.add_html(banner("error", title, plain(error)))
-
-
 def serve_dashboard(
     loop: LoopHandle,
     model: RobotModel,
@@ -242,8 +236,8 @@ def serve_dashboard(
     There is neither a password nor encryption: in a network that is not trusted, use an address
     that only this machine can reach. Port 0 selects a free port. Browsers may use the names `host`
     and `allowed` for the server. `clouds` has P_i of each pair of L_m, by the pair's name. A button
-    plays the `case`. `parts` are loaded if they are None. `start_loop` creates the simulation of
-    another robot; if it is None, the robot cannot be changed.
+    plays the `case`, if any. `parts` are loaded if they are None. `start_loop` creates the
+    simulation of another robot; if it is None, the robot cannot be changed.
 
     Raises `ServerError` if the address cannot be bound, and `AssetError` if the robot's URDF or the
     mesh of a convex body is missing.
@@ -265,7 +259,7 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return the end [s, `monotonic`] of a rest after work since `begin` [s, `thread_time`]."""
+    """Return when [s, `monotonic`] to work again, after work since `begin` [s, `thread_time`]."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 

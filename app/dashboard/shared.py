@@ -117,7 +117,6 @@ class Tuning:
             self._sink.send(Configure(self.config))
 
     def _add(self, config: Config) -> None:
-        """Add a step, and delete all steps that were undone."""
         self._steps = [*self._steps[: self._at + 1], config][-MOST_STEPS - 1 :]
         self._at, self._burst = len(self._steps) - 1, None
 
@@ -136,7 +135,7 @@ class SharedState:
         robot_switch: RobotSwitch | None = None,
         before: "SharedState | None" = None,
     ) -> None:
-        """Use jobs and parameters of the state `before`; the rest is as in `serve_dashboard`."""
+        """Use jobs and parameters of the old robot's state `before`; see also `serve_dashboard`."""
         self._newest = first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds  # P_i by the names of pairs of L_m
         self.case = case  # a scenario that a button plays, or None
@@ -157,8 +156,7 @@ class SharedState:
             "end-effector": Track(lambda snapshot: snapshot.p_ee),
         }
         self.course, self.strip = Course(), Strip(model.body_names)
-        tracks: list[Track | Course | Strip] = [*self.tracks.values()]
-        self.keepers = [*tracks, self.course, self.strip]  # get each snapshot
+        self.keepers = (*self.tracks.values(), self.course, self.strip)  # get each snapshot
         self.last = -1.0  # [s] time of the newest collected snapshot; −1 if there is none
         self._watched = True
         usual = model.description.config
@@ -166,11 +164,11 @@ class SharedState:
 
     @cached_property
     def explorer(self) -> Explorer:
-        """Explorer of postures, for the drawing thread; it is created at its first use."""
+        """Explorer of postures, for the drawing thread only; created at its first use."""
         return Explorer(self.model, self.clouds, self.loop.latest())
 
     def update(self) -> None:
-        """Add each new snapshot once to all keepers; after a restart, reset the keepers."""
+        """Add each new snapshot once to all `keepers`; after a restart, reset them."""
         before, self._newest = self._newest, self.loop.latest()
         if not self._newest.follows(before):
             self.last = -1.0

@@ -59,7 +59,7 @@ def links_repel(pair: NearPair | PairReading) -> bool:
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Return a pair's state; `near` explains an active pair; `moves`: whether the base moves."""
+    """Return a pair's state; `near` explains an active pair; the base `moves` or begins to."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.limited:
@@ -87,7 +87,7 @@ def contacts(snapshot: Snapshot) -> list[str]:
 
 
 def touching(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> str:
-    """Return the reported contacts and the deepest overlap in words; "" if there are none."""
+    """Return the reported contacts and the deepest overlap in words, or "" without any."""
     texts = contacts(snapshot)
     name, _, d, *_ = snapshot.nearest
     if d < 0.0:

@@ -18,7 +18,7 @@ def _shown(folder: str, label: str, first: bool | str, hint: str | None = None) 
 
 @dataclass
 class View:
-    """Choices of the viewer. Callbacks assign to a field; the drawing thread reads the fields."""
+    """Choices of a viewer. Callbacks assign to the fields; the drawing thread reads them."""
 
     borders: dict[str, str]  # by the pair: one of `QUANTITIES`, or `HIDDEN`
     whole_border: bool = _shown(
@@ -64,7 +64,7 @@ class View:
     def of_robot(self, pairs: list[str], plots: list[str]) -> "View":
         """Return the same choices for another robot, from its pairs of L_m and its plots' titles.
 
-        If the other robot has none of the shown borders, its first border is coloured by its score.
+        If borders are shown, but the other robot has none of them, its first border has the score.
         """
         borders = {pair: self.borders.get(pair, HIDDEN) for pair in pairs}
         if set(borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:

@@ -51,8 +51,8 @@ _said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of e
 def _passes(record: logging.LogRecord) -> bool:
     """Whether a log record is written: one of each kind per minute, as any peer can cause records.
 
-    The record of a failed connection loses its traceback unless the error is a defect of this
-    program or of a library. viser hides records with the texts `_KNOCKS`: their texts are changed.
+    Records of failed connections lose the traceback if the peer can have caused the error. Their
+    texts `_KNOCKS` are changed, because viser hides records with these texts.
     """
     text = record.getMessage().partition("\n")[0]
     error = record.exc_info[1] if record.exc_info else None
@@ -101,8 +101,8 @@ def open_server(
         return next((each for each in clients if _connection(each) is connection), None)
 
     def widget(connection: Any, uuid: str) -> Any:
-        owners = filter(None, (server, client_of(connection)))
-        known = [owner.gui._gui_input_handle_from_uuid for owner in owners]
+        owners = server, client_of(connection)
+        known = [each.gui._gui_input_handle_from_uuid for each in owners if each is not None]
         return next((widgets[uuid] for widgets in known if uuid in widgets), None)
 
     def on_refused(connection: Any, refused: RefusedError) -> None:
@@ -139,8 +139,7 @@ def scene_picture(
 ) -> np.ndarray:
     """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
 
-    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError` if no picture arrives
-    within the timeout [s].
+    Raises `RuntimeError` if the viewer has disconnected, and `TimeoutError` after `timeout` [s].
     """
     if (connection := _connection(client)) is None:
         raise RuntimeError("the page has disconnected")
@@ -172,7 +171,7 @@ def finite(value: Any) -> float:
 
 
 class Channel:
-    """Calls of functions, by their names, between the page's own scripts and this program."""
+    """Calls of functions, by name, between this program's scripts in the page and this program."""
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
         self._client = client
@@ -186,7 +185,7 @@ class Channel:
         self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 
     def begin(self) -> None:
-        """Create the page's own elements, and remove older ones; call it when all widgets exist."""
+        """Create the elements of this program's scripts anew; call this when all widgets exist."""
         ranges = {
             uuid: (handle.min, handle.max)
             for uuid, handle in self._client.gui._gui_input_handle_from_uuid.items()
@@ -195,7 +194,7 @@ class Channel:
         self._run("dbb?.end(); window.dbb = window.dbbControls", self._box._impl.uuid, ranges)
 
     def tell(self, word: str, *values: Any) -> None:
-        """Call the function `word` of the page with values of JSON types."""
+        """Call the function `word` of the page's scripts with values of JSON types."""
         self._run(f"dbb.{word}", *values)
 
     def on(self, word: str, act: Callable[..., None], kind: Callable[[Any], Any] = finite) -> None:
@@ -245,7 +244,7 @@ class Watchdog:
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
-        """Start the checks; at each one, `on_silent` gets the number of each silent viewer."""
+        """Start the checks; each check calls `on_silent` with the number of each silent viewer."""
         self.closed = 0  # number of connections that were closed; their pages connect again
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
@@ -286,7 +285,6 @@ class Watchdog:
 
 
 async def _ping(connection: Any) -> None:
-    """Wait for the answer of a viewer's browser, or for the end of the connection."""
     with contextlib.suppress(ConnectionClosed):
         await (await connection.ping())
 
@@ -294,9 +292,8 @@ async def _ping(connection: Any) -> None:
 class _WakingEvent(asyncio.Event):
     """An event whose `set` wakes all waiters even if the event is already set.
 
-    viser sets its event in another thread, then again in the loop. If the first call comes between
-    a waiter's check and its wait, asyncio's event ignores the second call, and the page gets no
-    more messages (docs/viser_wakeup.md).
+    viser sets its event in another thread, then again in the loop. asyncio's event ignores the
+    second call, and a waiter can sleep forever (docs/viser_wakeup.md).
     """
 
     def set(self) -> None:

@@ -1,8 +1,8 @@
 """Reading of untrusted data within a budget of time and memory.
 
 A child process reads data that are larger than `SMALL`. The system ends this process when its
-processor time exceeds the budget and, except on macOS, refuses memory beyond the budget. Thus no
-file can exhaust the memory of a server or block its threads.
+processor time exceeds the budget. Except on macOS, the system also refuses memory beyond the
+budget. Thus no file can exhaust the memory of a server or block its threads.
 """
 
 from __future__ import annotations
@@ -46,16 +46,17 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
     `read` must be a function of a module; its arguments and its result must be picklable. Data up
-    to `SMALL` have no budget, and a nested call in the reading child process has none of its own.
-    If reading exceeds the budget or crashes its process, this raises a BudgetError. Exceptions of
-    `read` are raised here, too.
+    to `SMALL` have no budget, and a call within `read` has none of its own. If `read` exceeds the
+    budget or crashes its process, this raises a BudgetError. Exceptions of `read` are raised here.
     """
     if size <= SMALL or _limited.is_set():
         return read(*args)
     budget = Budget.of(size)
     with _AT_ONCE, suppress(MemoryError, EndedError):
-        own = {"report": lambda *_: None, "cancelled": threading.Event(), "niceness": 0}
-        return pickle.loads(run_in_process(_limited_read, budget, read, args, **own))
+        cancelled = threading.Event()  # is never set
+        work = _limited_read, budget, read, args
+        packed = run_in_process(*work, report=lambda *_: None, cancelled=cancelled, niceness=0)
+        return pickle.loads(packed)
     raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
 
 

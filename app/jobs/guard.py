@@ -1,11 +1,11 @@
 """A guard: a process that kills another process if the other process does not end in time.
 
 A library that hangs and holds Python's lock cannot stop the guard. Its command is `python guard.py
-HEARD LIVES PID PATIENCE [NUMBER ...]`. The end of the file with the descriptor HEARD, or a byte in
-it with one of the NUMBERs of signals, announces the end of the process; the guard copies the bytes
-up to this announcement to standard output. LIVES is the descriptor of a pipe that is open while the
-process lives. A negative PID means the process group −PID. PATIENCE [s] is the time between the
-announcement and the kill.
+HEARD LIVES PID PATIENCE [NUMBER ...]`. HEARD is the descriptor of a file that announces the end of
+the process: by its own end, or by a byte that is one of the NUMBERs of signals. The guard copies
+the bytes up to this announcement to standard output. LIVES is the descriptor of a pipe that is open
+while the process lives. A negative PID means the process group −PID. PATIENCE [s] is the time
+between the announcement and the kill.
 """
 
 import ctypes
@@ -30,9 +30,9 @@ def guarded(
 ) -> Iterator[int]:
     """Run a guard for this process, or for its `group` of processes, during the `with`.
 
-    The guard's arguments HEARD, PATIENCE and NUMBER, which the module's docstring explains, are
-    `heard`, `patience` [s] and `numbers`. This yields the descriptor of a file to which the guard
-    copies the bytes of `heard`; or `heard` itself, if the guard cannot start.
+    `heard`, `patience` [s] and `numbers` are the guard's arguments HEARD, PATIENCE and NUMBER (see
+    the module's docstring). This yields the descriptor of the guard's standard output, or `heard`
+    if the guard cannot start.
     """
     passed = os.dup(heard)  # not the descriptor 0, which is the guard's standard input
     lives, alive = os.pipe()

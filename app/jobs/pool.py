@@ -36,8 +36,8 @@ class Workers(AbstractContextManager["Workers"]):
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
         """Prepare a number of processes; default: one for each usable core.
 
-        With one, or if a process cannot start, this process executes the jobs. `make_context` makes
-        the data that all jobs of a process share; it must be picklable.
+        If the number is one, or if a process cannot start, this process executes the jobs.
+        `make_context` makes the data that all jobs of a process share; it must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
@@ -75,14 +75,12 @@ class Workers(AbstractContextManager["Workers"]):
     ) -> Iterator[Result]:
         """Execute the jobs, and yield their results in the order of the jobs.
 
-        `function` and `jobs` must be picklable. The processes begin at once. Without processes, a
-        job runs when its result is read. `on_progress` gets the finished share of all jobs, in the
+        `function` and `jobs` must be picklable. Other processes begin at once; without them, a job
+        runs when its result is read. `on_progress` gets the finished share of all jobs, in the
         thread that reads the results. With `tells`, `function` has a third argument, of the type
-        `OnProgress`, that it calls with the finished share of its job.
-
-        If the process of a job has ended in each of three attempts, `lost` makes the job's result;
-        without `lost`, this raises a LoopError. An exception of `function` or `make_context` is
-        raised when the result is read.
+        `OnProgress`, that it calls with the finished share of its job. If the process of a job has
+        ended in each of three attempts, `lost` makes the job's result. Without `lost`, a LoopError
+        is raised when the result is read, as are exceptions of `function` and `make_context`.
         """
         work = function if tells else partial(_without_reports, function)
         sent: SimpleQueue[tuple[int, float]] = SimpleQueue()  # number and finished share of a job
@@ -113,10 +111,11 @@ class Workers(AbstractContextManager["Workers"]):
                 take(number, 1.0)
                 yield result
 
-        for number, job in enumerate(jobs if self._processes > 1 else ()):
-            tell = partial(send, number)
-            futures.append(self._threads.submit(self._ask, work, job, tell, lost))
-            futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
+        if self._processes > 1:
+            for number, job in enumerate(jobs):
+                tell = partial(send, number)
+                futures.append(self._threads.submit(self._ask, work, job, tell, lost))
+                futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
         return results()
 
     def _ask(

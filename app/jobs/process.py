@@ -84,10 +84,7 @@ class Child(AbstractContextManager["Child"]):
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process and, with `leads_group`, its children, after up to 2.5 s for a clean-up.
-
-        With `at_once`, they are killed without a clean-up.
-        """
+        """End the process, and its children with `leads_group`; `at_once` omits their clean-up."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -139,10 +136,10 @@ def run_in_process(
 ) -> Any:
     """Run `work(report, *args)` in a `Child`, and return the result.
 
-    This process calls its own `report` with each report of `work`. `niceness`, 0 to 19, is added to
-    the child's niceness. The event `cancelled` ends the child and all its children, and this raises
-    Cancelled. If the child ends without a result, this raises an EndedError. An exception of `work`
-    is raised here, with its traceback as the cause.
+    This process calls `report` with the arguments of each call of `report` by `work`. `niceness`, 0
+    to 19, is added to the child's niceness. If the event `cancelled` is set, this ends the child
+    and all its children, and raises Cancelled. If the child ends without a result, this raises an
+    EndedError. An exception of `work` is raised here, with its traceback as the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
     atexit.register(child.end)  # if this process exits in the meantime
@@ -210,7 +207,7 @@ def _leave(*_: object) -> None:
 
 
 def _end_with_parent(leads_group: bool) -> None:
-    """Wait until the parent closes standard input; end this process, or the group that it leads."""
+    """End this process, or the group that it leads, when the parent closes standard input."""
     os.read(0, 1)
     if leads_group:
         end_group(0, at_once=False)  # includes this process, which then removes temporary files

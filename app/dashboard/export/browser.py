@@ -19,21 +19,17 @@ if TYPE_CHECKING:
 
 VARIABLE = "DBB_BROWSER"  # environment variable with the path of the browser to use
 
-_NAMES = (
-    "chromium chromium-browser google-chrome-stable google-chrome chrome microsoft-edge-stable "
-    "brave-browser"
-)
+_CHROMIUMS = "chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome"
+_RELATIVES = "microsoft-edge-stable", "brave-browser"
 _APPLICATIONS = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
 )
 # Mesa draws two to three times faster in software than Chromium's own SwiftShader.
-_MESA = "--use-gl=angle --use-angle=gl-egl --ignore-gpu-blocklist --disable-gpu-compositing"
-_SWIFTSHADER = "--use-angle=swiftshader --enable-unsafe-swiftshader"
-_QUIET = (
-    "--disable-quic --no-first-run --disable-background-networking --disable-component-update "
-    "--disable-sync --disable-dev-shm-usage"
-)
+_EGL = "--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist", "--disable-gpu-compositing"
+_SWIFTSHADER = "--use-angle=swiftshader", "--enable-unsafe-swiftshader"
+_QUIET = "--disable-background-networking", "--disable-component-update", "--disable-sync"
+_SIMPLE = "--disable-quic", "--no-first-run", "--disable-dev-shm-usage"
 _RENDERER = """() => {
   const gl = document.createElement('canvas').getContext('webgl2');
   if (!gl) return null;
@@ -54,7 +50,8 @@ def browser_path(bundled: str) -> str | None:
             raise BrowserError(f"{VARIABLE}={chosen} does not exist")
         return chosen
     applications = _APPLICATIONS if sys.platform == "darwin" else ()
-    for path in (*map(shutil.which, _NAMES.split()), *filter(os.path.exists, applications)):
+    names = *_CHROMIUMS, *_RELATIVES
+    for path in (*map(shutil.which, names), *filter(os.path.exists, applications)):
         if path:
             return path
     if Path(bundled).exists():
@@ -101,8 +98,8 @@ def new_context(
 ) -> BrowserContext:
     """Create a browser context for pages of `size` (width, height) [px].
 
-    Each page first runs `scripts`, then `browser.js`, which adds the object `dbbPage` with
-    functions. `more` has further arguments of playwright's `new_context`.
+    Each page first runs `scripts`, then `browser.js`, which adds the object `dbbPage`. `more` has
+    further arguments of playwright's `new_context`.
     """
     viewport: ViewportSize = {"width": size[0], "height": size[1]}
     context = browser.new_context(viewport=viewport, reduced_motion="reduce", **more)
@@ -113,7 +110,7 @@ def new_context(
 
 @contextmanager
 def _temporary_folder(folder: str) -> Iterator[None]:
-    """Set `TMPDIR`: programs that start in this context put temporary files into `folder`."""
+    """Let programs that start in this context put temporary files into `folder`, by `TMPDIR`."""
     before = os.environ.get("TMPDIR")
     os.environ["TMPDIR"] = folder
     try:
@@ -128,11 +125,11 @@ def _launch(playwright: Playwright, path: str | None, folder: str) -> Browser:
     from playwright.sync_api import Error
 
     name = path or "playwright's own browser"
-    for flags in (_MESA, _SWIFTSHADER):
+    for flags in (_EGL, _SWIFTSHADER):
         try:
             browser = playwright.chromium.launch(
                 executable_path=path,
-                args=f"{flags} {_QUIET}".split(),
+                args=[*flags, *_QUIET, *_SIMPLE],
                 env={**os.environ, "TMPDIR": folder, "HOME": folder},  # HOME may be missing
             )
         except Error as error:

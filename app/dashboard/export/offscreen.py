@@ -12,6 +12,7 @@ import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +38,7 @@ from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import OutputError
 from app.jobs.process import Report
+from app.jobs.progress import OnProgress
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
 from app.simulation.loop.loop import LoopHandle
@@ -143,12 +145,10 @@ class OffscreenScene:
         (x, y, _), (u, v, _) = around.min(axis=0), around.max(axis=0)
         corners = np.array([(x, y, _LIFT), (u, y, _LIFT), (u, v, _LIFT), (x, v, _LIFT)])
         corners = in_world(base_pose, corners)
+        ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+        colour = np.array(colours.TRAIL_BASE, np.uint8)
         self._server.scene.add_line_segments(
-            "/start",
-            np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
-            np.array(colours.TRAIL_BASE, np.uint8),
-            thickness=_OUTLINE,
-            thickness_units="screen",
+            "/start", ends, colour, thickness=_OUTLINE, thickness_units="screen"
         )
 
     def draw(self, t: float, *, texts: bool = True) -> None:
@@ -185,12 +185,12 @@ def replay_html(
     clouds: Mapping[str, Cloud],
     look: Look,
     *,
-    on_progress: Callable[[float], None] = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
     The file shows the dashboard's scene, with a bar for the time. After each drawn second of the
-    run, `on_progress` gets the duration [s] drawn so far. Raises `AssetError` as `RobotParts`.
+    run, `on_progress` gets the drawn share of the run. Raises `AssetError` as `RobotParts`.
     """
     begin, end = log.snapshots[0].t, log.snapshots[-1].t
     with own_server() as server:
@@ -203,21 +203,17 @@ def replay_html(
             recording.insert_sleep(1.0 / RATE)
             scene.draw(begin + k / RATE, texts=k == last or k % 5 == 0)
             if k % round(RATE) == 0:
-                on_progress(k / RATE)
+                on_progress(k / last)
         recording.insert_sleep(1.0 / RATE)
         page = recording.as_html(dark_mode=look.dark)
     return _captioned_page(page, log, model.body_names, look.layer)
 
 
 def write_replay(report: Report, trace: Trace, page: Path) -> None:
-    """Write a replay from the preset of `first_view`; `Job.run` calls this in another process."""
+    """Write a replay of a trace; the camera has the preset of `first_view`."""
     model, data = loaded(trace.meta.robot, progress=False)
-    duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
     look = Look(view=first_view(trace.snapshots[0]))
-
-    def on_progress(t: float) -> None:
-        report("drawing the pictures", min(t / duration, 1.0))
-
+    on_progress = partial(report, "drawing the pictures")
     write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))
 
 
@@ -276,13 +272,13 @@ def film_pictures(
     orbit: float = 0.0,
     framed: Sequence[Snapshot] = (),
 ) -> Generator[Image.Image, None, None]:
-    """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
+    """Yield the pictures of a film; they do not depend on the duration of the drawing.
 
-    Each picture shows the last snapshot at or before one of `times` [s], and the lines of
-    `captioned`. Between two pictures, the camera turns about the vertical axis through its target
-    by `orbit` [rad]. A part of a side-by-side film needs `framed`, the snapshots of all robots: the
-    camera shows them all, the base's initial outline is drawn, and `story` replaces `captioned`.
-    Raises `AssetError` as `RobotParts`.
+    Each picture shows the last snapshot at or before one of `times` [s], with the text of
+    `captioned`. Per picture, the camera turns by `orbit` [rad] about the vertical axis through its
+    target. In a part of a side-by-side film, `framed` has the snapshots of all robots: the camera
+    shows them all, and the base's first outline and the text of `story` are drawn. Errors are those
+    of `RobotParts`.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):
@@ -333,8 +329,8 @@ def captioned(
 ) -> Image.Image:
     """Write scenario and time into a picture, then method and clearance of each robot.
 
-    If `posed`, the picture shows a posture that is not simulated: a note replaces scenario and
-    time. If `named`, the picture of a comparison already has labels with methods and clearances.
+    If `posed`, the posture is not simulated, and a note replaces scenario and time. If `named`, and
+    if there are ghosts, method and clearance are omitted: the picture already has them as labels.
     """
     scenario = f"{shown.scenario}, " if shown.scenario else ""
     first = "Preview, not simulated" if posed else f"{scenario}t = {shown.t:.2f} s"
@@ -353,7 +349,7 @@ def write_film(
     codec: str,
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Encode pictures of equal size, at least one, and return their number.
+    """Write a film of pictures of equal size, at least one, and return their number.
 
     The file is written completely or not at all; a failure raises `OutputError`. `rate` [1/s] is
     the frame rate, and `codec` is a codec of the file's suffix in `CODECS`. Before each picture,
@@ -416,7 +412,7 @@ def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
 def label(
     picture: Image.Image, lines: Sequence[str | tuple[str, Rgb]], *, dark: bool
 ) -> Image.Image:
-    """Draw lines of text into the picture's upper left corner; a line may have its own colour."""
+    """Write lines of text into a picture's upper left corner, and return the picture."""
     size = max(round(_HEIGHT * picture.height), _MIN_HEIGHT)
     font, draw = ImageFont.load_default(size), ImageDraw.Draw(picture)
     for k, line in enumerate(lines):

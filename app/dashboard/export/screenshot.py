@@ -39,9 +39,9 @@ def take_pictures(
 ) -> list[Image.Image]:
     """Return a picture for each of `times` [s]: of the last snapshot at or before this time.
 
-    `clouds` has P_i of each pair of L_m, by the pair's name. Pictures of the scene have one common
-    viewpoint; if `look.page`, each picture has its own viewpoint. Raises `BrowserError` if the
-    browser's page does not connect, and `AssetError` as `RobotParts`.
+    `clouds` has P_i of each pair of L_m, by the pair's name. All pictures have the same viewpoint,
+    but if `look.page`, each has its own. Raises `BrowserError` if the browser's page does not
+    connect, and `AssetError` as `RobotParts`.
     """
     loop = RecordedLoop(snapshots)
     with ExitStack() as stack:
@@ -81,9 +81,8 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
     """Join pictures of equal size side by side, each with its time [s] in the upper left corner."""
     width, height = pictures[0].size
     timed = zip(pictures, times, strict=True)
-    whole = offscreen.side_by_side(
-        [offscreen.label(each.copy(), [f"t = {t:g} s"], dark=dark) for each, t in timed]
-    )
+    labelled = [offscreen.label(each.copy(), [f"t = {t:g} s"], dark=dark) for each, t in timed]
+    whole = offscreen.side_by_side(labelled)
     for x in range(width, whole.width, width):
         ImageDraw.Draw(whole).line([(x, 0), (x, height)], fill=offscreen.INK[dark])
     return whole
@@ -99,7 +98,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
-    """Return a picture after all messages are drawn, once it stays unchanged; at most 12 trials."""
+    """Draw all messages; return the first picture that equals the one before, or the twelfth."""
     n, ready = next(_numbers), "([name, n]) => dbbPage.arrived(name) === n"
     offscreen.send_barrier(server, n)
     values, timeout = [offscreen.BARRIER, n], 1000 * offscreen.TIMEOUT

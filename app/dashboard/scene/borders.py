@@ -1,7 +1,7 @@
 """Borders: coloured points that move with the base, a slice, and values under the pointer."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import viser
@@ -29,7 +29,6 @@ MAX_POINTS = 20_000  # [-] of a drawn border; more points only hide the scene an
 LIGHT_POINTS = 4000  # [-] of a border on a page with low detail
 POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
 LIGHT_SIZE = 0.006  # [m] with `LIGHT_POINTS`
-_LOOK: Any = {"point_shape": "circle", "precision": "float32"}
 _EVERY = 3  # [-] every third point of a contour is drawn
 _INSIDE = 0.5  # [-] assumed distance of the arm from the base for a `_Probe`, relative to d_b
 _NEAR = 8.0  # [px] largest distance of a point from the pointer
@@ -69,8 +68,8 @@ class Borders:
     ) -> ColouredCloud | None:
         """Return points of a pair's border, coloured by one of `QUANTITIES`; None without points.
 
-        Their number is at most `MAX_POINTS`, or `LIGHT_POINTS` if `light`. Points above the base's
-        top are omitted unless `whole`.
+        There are at most `MAX_POINTS`, or `LIGHT_POINTS` if `light`. Points above the base's top
+        are omitted unless `whole`.
         """
         key = pair, quantity, border.d_b, border.eps, None if whole else self.top, light
         if key not in self._kept:
@@ -98,8 +97,8 @@ class Borders:
         low, high = float(values.min()), float(values.max())
         u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)
         title, unit = title_of(quantity, self._model.description.base.kind)
-        name, sizes = words.spoken(pair, self._model.body_names), (len(keep), len(points))
-        legend = Legend(name, title, unit, d_b, low, high, *sizes, top)
+        name = words.spoken(pair, self._model.body_names)
+        legend = Legend(name, title, unit, d_b, low, high, len(keep), len(points), top)
         return ColouredCloud(points[keep], viridis(u), legend)
 
     def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:
@@ -130,9 +129,9 @@ def subsample(total: int, most: int) -> Array:
     return np.random.default_rng(0).permutation(total)[:most]
 
 
-class _Drawn(NamedTuple):  # a pair's border in the scene, if it is visible and has points
-    cloud: ColouredCloud | None = None
-    node: viser.PointCloudHandle | None = None
+class _Drawn(NamedTuple):
+    cloud: ColouredCloud | None = None  # a pair's border; None if it is hidden or has no points
+    node: viser.PointCloudHandle | None = None  # of `cloud` in the scene
     request: tuple[object, ...] = ()  # values on which the drawing depends
 
 
@@ -152,10 +151,7 @@ class DrawnBorders:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw each changed border, and return whether there is any.
-
-        This takes milliseconds: call it outside of `atomic`, which delays all messages.
-        """
+        """Draw changed borders; return whether there are any. Slow: call it outside of `atomic`."""
         changed = False
         for pair, quantity in view.borders.items():
             whole, light = view.whole_border, view.light
@@ -168,11 +164,18 @@ class DrawnBorders:
                 cloud = self._borders.coloured(pair, quantity, border, whole=whole, light=light)
             if cloud is not None:
                 # One message has points and colours, so that they always match.
-                name, size = f"{ROOT}/border_{pair}", LIGHT_SIZE if light else POINT_SIZE
-                node = self._scene.add_point_cloud(name, *cloud[:2], point_size=size, **_LOOK)
+                node = self._scene.add_point_cloud(
+                    f"{ROOT}/border_{pair}",
+                    cloud.points,
+                    cloud.colours,
+                    point_size=LIGHT_SIZE if light else POINT_SIZE,
+                    point_shape="circle",
+                    precision="float32",
+                )
             elif node is not None:
                 node.remove()
-            self._drawn[pair] = _Drawn(cloud, node if cloud else None, request)
+                node = None
+            self._drawn[pair] = _Drawn(cloud, node, request)
         return changed
 
     def draw_probe(self, canvas: Canvas, snapshot: Snapshot, lens: Lens | None) -> None:
@@ -193,7 +196,7 @@ class DrawnBorders:
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, axes, top)
 
     def draw_slice(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the border's contour at the height of p_b of the nearest pair of L_m."""
+        """Draw the border's contour at the height of p_b of the L_m pair with the least d."""
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.fields]
         if not mobile:
             return

@@ -28,7 +28,7 @@ _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the pic
 
 
 class Window(NamedTuple):
-    """The area of a page that shows the scene; cards and drawers can cover its ends."""
+    """The area of a page that shows the scene; cards and drawers can cover its top and bottom."""
 
     aspect: float = 1.5  # [-] ratio of width to height
     covered: float = 0.0  # [-] share of the height that is covered from below
@@ -36,12 +36,9 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> "Window":
-        """Return a window from sizes [px] and covered shares [-] of a page, within limits.
-
-        Impossible values, such as the sizes 0 of a new page, give the default window.
-        """
+        """Return a window, within limits, from sizes [px] and covered shares [-] of a page."""
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
-            return cls()
+            return cls()  # at first, the sizes of a page are 0
         aspect, covered = min(max(width / height, 0.4), 4.0), min(below, _MOST_COVERED[1])
         return cls(aspect, covered, min(above, _MOST_COVERED[0] - covered))
 
@@ -52,7 +49,7 @@ class Window(NamedTuple):
 
 
 class Preset(NamedTuple):
-    """A view; `away` is in the base's frame, or in the closed door's frame for a door."""
+    """A view; `away` is in the base's frame, or in a closed door's frame for the target "door"."""
 
     away: Array  # (3,) direction from the target to the camera
     of: Literal["robot", "end-effector", "pair", "door"] = "robot"
@@ -75,9 +72,8 @@ PRESETS = {  # by name
 class Camera:
     """Moves the camera of one client.
 
-    The browser reports each new position after a delay, together with the viewer's own changes.
-    Therefore the program moves the camera again only after the browser has confirmed the last
-    position; otherwise the viewer's change would be lost.
+    The browser reports each new position after a delay, together with the viewer's own changes. So
+    that no change is lost, `follow` and `find` wait for this report, but at most for `_PATIENCE`.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -119,11 +115,10 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Look at the robot of a snapshot from the preset of `first_view`."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
-        """Look at the robot of a snapshot from the preset of a `name`, a key of `PRESETS`."""
+        """Look at the robot of a snapshot from the preset `name`, a key of `PRESETS`."""
         camera, self._fitted, self._preset = self._client.camera, self.window, name
         eye, target = placed(PRESETS[name], [snapshot], self.extent, self._fitted)
         if self._set is None:
@@ -143,10 +138,9 @@ class Camera:
         return self._preset if self._waits() or away < 0.02 else ""  # [m]
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the wanted preset, if any; fit the last preset again if the window has changed.
+        """Use the preset `wanted`, if any; fit the last preset again if the window has changed.
 
-        The panels narrow the scene only after the first picture, and a drawer opens later. The
-        camera is not fitted during a pull (`busy`), or if the viewer has moved the camera.
+        The camera is not fitted during a pull (`busy`), or after the viewer has moved the camera.
         """
         wanted, self.wanted = self.wanted, ""
         if wanted:
@@ -179,11 +173,11 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        Without a pull (`busy`), this happens (a) if the robot was not in sight since the start of a
-        run, (b) if the camera follows (`on`) and the base has moved by more than `_MOVED` out of
-        sight, and (c) if the camera follows, still has a preset of the whole robot or of the pair,
-        and does not show the end-effector of the robot or of a near ghost. Also during a pull, the
-        start of a run with a door selects the preset "door", and without a door "iso" replaces it.
+        This happens, without a pull (`busy`), in three cases: the robot was not in sight since the
+        start of the run; the camera follows (`on`), and the base has moved by more than `_MOVED`
+        out of sight; the camera follows, still has a preset of the whole robot or of the pair, and
+        does not show the end-effector of the robot or of a near ghost. Also during a pull, a run
+        with a door starts with the preset "door"; in a run without a door, "iso" replaces "door".
         """
         before, self._before = self._before or snapshot, snapshot
         begun = not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)
@@ -216,7 +210,6 @@ class Camera:
         return self._arrived and self._set is None and moved
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
-        """Handle a report of the browser, which may confirm the position that was set last."""
         there = self._set is not None and _near(camera.position, self._set)
         self._arrived |= there
         # A slow browser reports its old position for seconds: the new one has not arrived yet.
@@ -240,7 +233,7 @@ def placed(
     """Return eye and target (3,) [m] of a preset in the world.
 
     The picture shows the target `Preset.of` in all snapshots, at least one. The direction is
-    relative to the base in the middle snapshot, or to the closed door for the preset "door".
+    relative to the base in the middle snapshot, or to the closed door if the target is "door".
     `extent` has points (N, 3) [m] of the robot in its ready posture, in the base's frame.
     """
     about = shown[len(shown) // 2]
@@ -287,7 +280,6 @@ def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
-    """Return the robot, and the ghosts whose base is within `_FAR` of the robot's base."""
     away = [np.linalg.norm((ghost.base_pose - snapshot.base_pose)[:2]) for ghost in snapshot.ghosts]
     return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 
@@ -314,9 +306,8 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
     """
     axes = _axes(-away)
     across, depth = np.vsplit(axes @ points.T, [2])
-    low, high = (
-        np.tan(FIELD_OF_VIEW / 2) * np.array([(-window.aspect, window.aspect), window.edges]).T
-    )
+    free = np.array([(-window.aspect, window.aspect), window.edges])
+    low, high = np.tan(FIELD_OF_VIEW / 2) * free.T
     spare = 0.05 * (high - low)  # a margin on each side
     low, high = low + spare, high - spare
     # A camera at coordinate u_0 and depth w_0 shows a point at (u - u_0)/(w - w_0). This is between

@@ -34,13 +34,13 @@ class Lens(NamedTuple):
     """[px] left, lower, right and upper edge of the uncovered part, in coordinates of `pixel`."""
 
     def pixel(self, places: Array) -> tuple[Any, Any, Any]:
-        """Return [px] right of the centre, [px] above it, and depth [m] of (3,) or (N, 3) [m]."""
+        """Project points (3,) or (N, 3) [m]: return [px] to the right, [px] up, and depth [m]."""
         u, v, depth = self.axes @ (places - self.eye).T
         scale = self.focal / np.maximum(depth, 1e-3)
         return scale * u, scale * v, depth
 
     def has(self, pixel: tuple[float, float, float]) -> bool:
-        """Whether a point from `pixel` is in front of the camera and in the uncovered part."""
+        """Whether a result of `pixel` is in front of the camera and in the uncovered part."""
         (u, v, depth), (left, low, right, high) = pixel, self.free
         return bool(depth > 0.0 and left < u < right and low < v < high)
 
@@ -60,8 +60,8 @@ def set_apart(
 ) -> dict[str, Spot]:
     """Choose spots for labels so that they do not overlap; earlier labels choose first.
 
-    If no spot is free, a label gets the first spot, and overlaps others. `before` has the spots of
-    the previous picture: a label changes its spot only to a nearer free one, or if its spot is no
+    A label without a free spot gets the first spot, and overlaps others. `before` has the spots of
+    the previous picture: a label leaves its spot only for a nearer free one, or if its spot is no
     longer free. `labels` has coordinates [px] to the right and up, and text, by the label's name.
     `free` has the left, lower, right and upper edge [px] of the area for labels. `scale` [-] is the
     size of the labels relative to `FONT_SCALE`.
@@ -136,18 +136,15 @@ class Canvas:
             self._places[name] = place, node.text
 
     def lines(self, name: str, lines: Sequence[Array], colour: Rgb, pixels: float) -> None:
-        """Draw lines, each through points (K, 3) [m], K ≥ 2; `pixels` is the width.
-
-        Use `segments` for several colours: viser sometimes draws a line in white if its segments
-        get their own colours later.
-        """
+        """Draw lines, each through points (K, 3) [m], K ≥ 2; `pixels` is the width."""
         ends = np.concatenate([np.stack([each[:-1], each[1:]], axis=1) for each in lines])
         self.segments(name, ends, np.array(colour, np.uint8), pixels)
 
     def segments(self, name: str, ends: Array, colours: Array, pixels: float) -> None:
         """Draw straight segments between their ends (N, 2, 3) [m]; `pixels` is the width.
 
-        Colours are uint8: (3,) in sRGB for all segments, or (N, 2, 3) in linear colours.
+        Colours are uint8: always (3,) in sRGB for all segments, or always (N, 2, 3) in linear
+        colours, because viser can draw a node that changes between them in white.
         """
         look = {"thickness": pixels, "thickness_units": "screen"}
         node = self._node(name, self._scene.add_line_segments, ends, colours, **look)

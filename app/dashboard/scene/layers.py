@@ -60,14 +60,15 @@ def draw_distances(
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
     """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
 
-    If `inside`, segments of pairs outside the buffer d_b [m] have length 0; if not, those inside.
+    If `inside`, the segments of all pairs outside the buffer d_b [m] have length 0. Otherwise, the
+    segments of all pairs inside the buffer have length 0.
     """
     ends = [(p.p_a, p.p_b if (p.d < d_b) == inside else p.p_a) for p in pairs]
     return np.array(ends, dtype=float).reshape(-1, 2, 3)
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
-    """Draw p_n, p_t, p_act and f of each noticeable force; `top` [m] is the base's height."""
+    """Draw p_n, p_t, p_act and the force f, unless f is small; `top` [m] is the base's height."""
     for reading in snapshot.acting:
         size = np.linalg.norm(reading.f)
         if size < _LEAST_FORCE:
@@ -130,7 +131,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """If a ghost is apart, label each robot at the point `at` (3,) [m] in its base's frame."""
+    """Label all robots, at `at` (3,) [m] in each base's frame, if a ghost is not at the robot."""
     base, q_m = snapshot.base_pose, snapshot.q_m
     apart = [np.append(ghost.base_pose - base, ghost.q_m - q_m) for ghost in snapshot.ghosts]
     if all(np.abs(each).max() < SAME for each in apart):
@@ -142,7 +143,7 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
 
 
 def standings(snapshot: Snapshot) -> Iterator[tuple[str, str]]:
-    """Yield method and clearance in words: of the robot, then of each ghost."""
+    """Yield the words for method and clearance of the robot, then of each ghost."""
     part = "arm" if snapshot.door is None else "arm or door"
     for robot in (snapshot, *snapshot.ghosts):
         d, near = robot.clearance, millimetres(abs(robot.clearance))

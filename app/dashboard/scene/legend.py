@@ -24,13 +24,15 @@ class BaseMeasure(NamedTuple):
 
 
 def measure_of(kind: str) -> BaseMeasure:
-    """Return the words for a kind of base."""
-    if kind != "differential":
-        hint = "how well the base moves the point; replaces (7)"
-        return BaseMeasure("Mobility of the base", "", "measure of the base", hint, "measure · R")
-    title = "Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)"
-    hint = "(7): 0 on the wheel axis, where the base cannot move the point sideways"
-    return BaseMeasure(title, "m⁴/rad⁴", "mobility det(J Jᵀ)", hint, "sign · det · R")
+    """Return the words for the base's factor in the score; `kind` is a base's `base.kind`."""
+    title, unit, label = "Mobility of the base", "", "measure of the base"
+    hint, score = "how well the base moves the point; replaces (7)", "measure · R"
+    if kind == "differential":
+        title += ", det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)"
+        unit, label = "m⁴/rad⁴", "mobility det(J Jᵀ)"
+        hint = "(7): 0 on the wheel axis, where the base cannot move the point sideways"
+        score = "sign · det · R"
+    return BaseMeasure(title=title, unit=unit, label=label, hint=hint, score=score)
 
 
 class Legend(NamedTuple):
@@ -46,7 +48,7 @@ class Legend(NamedTuple):
 
 
 def title_of(quantity: str, kind: str) -> tuple[str, str]:
-    """Return name (HTML) and unit of a quantity of `QUANTITIES`, for a kind of base."""
+    """Return name (HTML) and unit of one of `QUANTITIES`; `kind` is a base's `base.kind`."""
     measure = measure_of(kind)
     return {
         "determinant": (measure.title, measure.unit),

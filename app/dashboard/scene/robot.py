@@ -71,8 +71,8 @@ class RobotParts:
     def __init__(self, robot: RobotModel, *, apart: bool = False) -> None:
         """Load all parts; raises `AssetError` if the URDF or the mesh of a convex body is missing.
 
-        If `apart`, and for a user's own robot, a separate process reads large meshes. Its end frees
-        memory that the library for simplification does not return.
+        If `apart`, or for a user's own robot, a separate process reads large meshes. Its end frees
+        the memory that the library for simplification does not free.
         """
         self.kinematics = LinkPoses(robot)  # not thread-safe, for the drawing thread
         self.bodies = _bodies(robot, self.kinematics.model)  # of the distance computation
@@ -123,7 +123,8 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
     for body in robot.description.bodies:
         frame = model.frames[model.getFrameId(body.frame)]
         for i, shape in enumerate(body.shapes):
-            name, placement = f"body_{body.name}_{i}", frame.placement * shape.placement()
+            placement = frame.placement * shape.placement()
+            name = f"body_{body.name}_{i}"
             bodies.append(Visual(name, frame.parentJoint, placement, shape_mesh(shape), BODY))
     return bodies
 
@@ -139,7 +140,7 @@ def _visuals(robot: RobotModel, apart: bool) -> list[Visual]:
 
 
 def load_visuals(description: RobotDescription) -> list[Visual]:
-    """Load the visual meshes of the URDF for display, in its colours, brightened if too dark.
+    """Load the URDF's visual meshes for display, in its colours; too dark ones are brightened.
 
     `joint` of each result is the index of a joint in `LinkPoses.model`. Raises `AssetError` if the
     URDF or a mesh is missing, and `RobotFileError` if a shape or a mesh is invalid.

@@ -28,14 +28,15 @@ class RobotScene:
         self, scene: viser.SceneApi, parts: RobotParts, ghost: int | None = None, *, light: bool
     ) -> None:
         """Send one robot's meshes; ghost number `ghost` is translucent, without convex bodies."""
-        self._parts, self._scene = parts, scene
+        self._parts, self._scene, self._model = parts, scene, parts.kinematics.model
         self._ghost = None if ghost is None else GHOSTS[ghost % len(GHOSTS)]
         self._path = ROOT if ghost is None else f"/ghost_{ghost}"
         self.root = scene.add_frame(self._path, show_axes=False)
         bodies = parts.bodies if ghost is None else []
         moving = sorted({visual.joint for visual in (*parts.visuals, *bodies)})
         self._frames = {
-            joint: scene.add_frame(self._node(joint), show_axes=False) for joint in moving
+            joint: scene.add_frame(node_of(self._model, joint, self._path), show_axes=False)
+            for joint in moving
         }
         self.links: list[tuple[int, viser.MeshHandle]] = []  # joint and handle of each visual mesh
         self.dress(light=light)
@@ -76,20 +77,17 @@ class RobotScene:
             frame.visible = bool(max(np.abs(apart.translation).max(), turned) > layers.SAME)
 
     def world_pose(self, joint: int) -> pin.SE3:
-        """Return T_world_joint of a joint at the last `update`."""
+        """Return the pose T_world_joint of a joint at the last `update`."""
         root, poses = self._placed
         return root * poses[joint]
 
     def _add(
         self, visual: Visual, colour: Rgb, opacity: float | None, light: bool = False
     ) -> viser.MeshHandle:
-        node, shadow = f"{self._node(visual.joint)}/{visual.name}", opacity is None and not light
-        look = {"color": colour, "opacity": opacity, "cast_shadow": shadow}
+        node = f"{node_of(self._model, visual.joint, self._path)}/{visual.name}"
+        look = {"color": colour, "opacity": opacity, "cast_shadow": opacity is None and not light}
         look["receive_shadow"] = False  # shadows would darken the whole base
         return add_mesh(self._scene, node, visual.mesh, visual.placement, **look)
-
-    def _node(self, joint: int) -> str:
-        return node_of(self._parts.kinematics.model, joint, self._path)
 
 
 def node_of(model: pin.Model, joint: int, root: str = ROOT) -> str:
@@ -112,9 +110,9 @@ class Scene:
         self._light_up()
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
-        """Draw a snapshot without its borders; update texts of labels, and trails, only if `texts`.
+        """Draw a snapshot except the coloured borders, and return its verdict.
 
-        Returns the verdict, which determines the colours of the lines. The lens determines the
+        The texts of labels, and the trails, are updated only if `texts`. The lens determines the
         positions of labels and the point under the pointer.
         """
         view = self._view
@@ -136,7 +134,6 @@ class Scene:
         return verdict
 
     def _light_up(self) -> None:
-        """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black."""
         scene, light, dark = self._scene, self._light, self._dark
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
         scene.configure_environment_map(None)  # reflections double the time of software rendering
