@@ -224,7 +224,8 @@ def is_foreign(path: Path) -> bool:
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
     """The mesh or, if it has more than `MOST_FACES` triangles, one of about that many with nearly
-    the same hull. Vertices in one cubic cell with the edge `cell`, in the mesh's unit, are merged.
+    the same hull. Vertices in one cubic cell with the edge `cell`, in the mesh's unit, are merged,
+    also in `mesh` itself.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh
@@ -232,13 +233,13 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
     keys = ((points - points.min(axis=0)) / cell).astype(np.int64) @ [1 << 42, 1 << 21, 1]
     _, first, own = np.unique(keys, return_index=True, return_inverse=True)
     vertices, faces = points[first], own[np.asarray(mesh.faces)]
-    del mesh, points, keys, first, own  # hundreds of megabytes for millions of triangles
+    del points, keys, first, own  # hundreds of megabytes for millions of triangles
     faces = faces[np.all(faces != np.roll(faces, 1, axis=1), axis=1)]
-    light = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.vertices, mesh.faces = vertices, faces  # in place, which frees the former arrays
     if len(faces) > MOST_FACES:
-        light = light.simplify_quadric_decimation(face_count=MOST_FACES, aggression=5)
-    corners = np.vstack([light.vertices, _outermost(vertices, 3)])
-    return trimesh.Trimesh(corners, light.faces, process=False)
+        mesh = mesh.simplify_quadric_decimation(face_count=MOST_FACES, aggression=5)
+    corners = np.vstack([mesh.vertices, _outermost(vertices, 3)])
+    return trimesh.Trimesh(corners, mesh.faces, process=False)
 
 
 def _outermost(points: Array, fineness: int) -> Array:
