@@ -224,22 +224,27 @@ def is_foreign(path: Path) -> bool:
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
     """The mesh or, if it has more than `MOST_FACES` triangles, one of about that many with nearly
-    the same hull. Vertices in one cubic cell with the edge `cell`, in the mesh's unit, are merged,
-    also in `mesh` itself.
+    the same hull. Vertices in cubic cells with the edge `cell`, or larger, are merged in `mesh`.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh
+    _merge(mesh, cell)
+    outermost = _outermost(np.asarray(mesh.vertices), 3)
+    while len(mesh.faces) > 10 * MOST_FACES:  # the simplification needs 300 bytes per triangle
+        cell *= 2.0
+        _merge(mesh, cell)
+    if len(mesh.faces) > MOST_FACES:
+        mesh = mesh.simplify_quadric_decimation(face_count=MOST_FACES, aggression=5)
+    return trimesh.Trimesh(np.vstack([mesh.vertices, outermost]), mesh.faces, process=False)
+
+
+def _merge(mesh: trimesh.Trimesh, cell: float) -> None:
     points = np.asarray(mesh.vertices)
     keys = ((points - points.min(axis=0)) / cell).astype(np.int64) @ [1 << 42, 1 << 21, 1]
     _, first, own = np.unique(keys, return_index=True, return_inverse=True)
-    vertices, faces = points[first], own[np.asarray(mesh.faces)]
-    del points, keys, first, own  # hundreds of megabytes for millions of triangles
+    faces = own[np.asarray(mesh.faces)]
     faces = faces[np.all(faces != np.roll(faces, 1, axis=1), axis=1)]
-    mesh.vertices, mesh.faces = vertices, faces  # in place, which frees the former arrays
-    if len(faces) > MOST_FACES:
-        mesh = mesh.simplify_quadric_decimation(face_count=MOST_FACES, aggression=5)
-    corners = np.vstack([mesh.vertices, _outermost(vertices, 3)])
-    return trimesh.Trimesh(corners, mesh.faces, process=False)
+    mesh.vertices, mesh.faces = points[first], faces  # frees the former arrays
 
 
 def _outermost(points: Array, fineness: int) -> Array:
@@ -260,11 +265,10 @@ class LinkInertia(NamedTuple):
 def read_inertias(
     tree: Tree, arm: Arm, geometry: Geometry, *, assume: bool
 ) -> dict[str, LinkInertia]:
-    """The inertia of the base and of each link below it, by the name of the link.
-
-    A link without an `<inertial>` gets a mass by its volume. So do the links from one joint of the
-    arm to the next if their total mass is 0. A RobotFileError is raised if an inertia is impossible
-    or probably in another unit, and, unless `assume` is true, if no link of the arm has a mass.
+    """The inertia of the base and of each link below it, by the name of the link. A link without an
+    `<inertial>` gets a mass by its volume. So do the links from one joint of the arm to the next if
+    their total mass is 0. A RobotFileError is raised if an inertia is impossible or probably in
+    another unit, and, unless `assume` is true, if no link of the arm has a mass.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     moving = [link for segment in arm.segments[1:] for link in segment]

@@ -134,7 +134,6 @@ def _path(info: zipfile.ZipInfo) -> PurePosixPath:
 
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip into a robot's folder; return the file of its URDF, with relative mesh paths.
-
     `file` is the path of the URDF in the zip, or None for the only URDF. A RobotFileError is raised
     as for `unpack`, if the URDF or one of its meshes is not in the zip or cannot be read, or if the
     zip has several URDFs and `file` is None.
@@ -212,9 +211,8 @@ class Contents(NamedTuple):
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The `Contents` of each readable URDF among the first 20 of a zip, by its path.
-
-    A RobotFileError is raised as for `unpack`, or if none of these URDFs can be read.
+    """The `Contents` of each readable URDF among the first 20 of a zip, by its path. A
+    RobotFileError is raised as for `unpack`, or if none of these URDFs can be read.
     """
     with temporary_folder() as folder:
         with named_part(archive.name):

@@ -54,7 +54,6 @@ def read_robot(
     path: Path, packages: Folders | None = None, arguments: Mapping[str, str] | None = None
 ) -> tuple[Element, list[str], Collection[str]]:
     """The `<robot>` of `read_source`, a sentence on each removed shape, and the arguments' names.
-
     Each mesh gets its `mesh_address`. Shapes of size 0 are removed; so are visual shapes for whose
     mesh `mesh_address` raises a RobotFileError, if their link also has a collision shape.
     """
@@ -141,7 +140,6 @@ def _refuse_unprefixed(path: Path, robot: Element, *tags: str) -> None:
 
 def mesh_address(reference: str, folder: Path, packages: Folders | None = None) -> str:
     """The address of a mesh for the new URDF: `package://…` in an installed package, else its path.
-
     `reference` is the mesh's address in a URDF in `folder`. A RobotFileError is raised if no file
     exists in any of the `spellings`, if it has an unreadable format, or if it is a placeholder.
     """

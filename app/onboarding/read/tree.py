@@ -26,9 +26,8 @@ PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 
 
 class Joint(NamedTuple):
-    """One joint of a URDF; its units are rad, rad/s and N m, or m, m/s and N if prismatic.
-
-    A limit that is not stated is None, or 0 if only the other of `lower` and `upper` is stated.
+    """One joint of a URDF; its units are rad, rad/s and N m, or m, m/s and N if prismatic. A limit
+    that is not stated is None, or 0 if only the other of `lower` and `upper` is stated.
     """
 
     name: str
@@ -124,9 +123,8 @@ def _some(names: Iterable[str]) -> str:
 
 
 def make_tree(robot: Element) -> Tree:
-    """Read links and joints of a URDF; each visual in `robot` gets one material, named by colour.
-
-    A RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
+    """Read links and joints of a URDF; each visual in `robot` gets one material, named by colour. A
+    RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
     missing link, the links are not a tree, or a number is invalid.
     """
     for tag in ("link", "joint"):

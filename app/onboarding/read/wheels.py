@@ -150,11 +150,10 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Geometry) -> Arm:
 
 
 def find_drive(request: Request, tree: Tree, arm: Arm, geometry: Geometry) -> Wheels:
-    """Find the driven wheels of a base, and the steering of a car-like one.
-
-    For a holonomic base, or with --wheel-radius and --half-track, the URDF's wheels are not used:
-    the floor is at the lowest point of the base's shapes, and x of the base's link points forward.
-    If wheels, steering or shapes are missing, a RobotFileError names an option that helps.
+    """Find the driven wheels of a base, and the steering of a car-like one. For a holonomic base,
+    or with --wheel-radius and --half-track, the URDF's wheels are not used: the floor is at the
+    lowest point of the base's shapes, and x of the base's link points forward. If wheels, steering
+    or shapes are missing, a RobotFileError names an option that helps.
     """
     base = _Base(tree, arm, geometry)
     given = request.wheel_radius is not None and request.half_track is not None
