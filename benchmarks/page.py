@@ -98,7 +98,7 @@ class Page:
 def main(args: Page) -> None:
     """Measure and print."""
     if args.swiftshader:
-        browsers._MESA = browsers._SWIFTSHADER
+        browsers._EGL = browsers._SWIFTSHADER
     model, data = load_robot_and_border("husky_panda")
     config, scenario = Config(), scenario_by_name("guiding-front")
     q_start = find_start(model, data.pairs, config.border.d_b, scenario.start)

@@ -56,11 +56,11 @@ class BorderSearch:
     """The search of a border for the point nearest to a query point."""
 
     def __init__(self, offset: OffsetContours, borders: Sequence[Border] = ()) -> None:
-        self._border = border_struct(offset, borders)
+        self.struct = border_struct(offset, borders)
 
     def nearest(self, p: Array) -> Foot | None:
         """The border point of the first pair nearest to p (3,) [m]; None if l_m has no border."""
-        foot = Foot(*nearest_border(self._border, 0, np.ascontiguousarray(p, dtype=float)))
+        foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
         return None if np.isnan(foot.p[0]) else foot
 
 

@@ -86,7 +86,7 @@ def test_acting_point_is_continuous_on_the_surface_but_not_on_points(
     coarse, fine = random_path(seed, 4001), random_path(seed, 40001)
     ratios = {}
     for border, last in ((surface, None), (points, 20001)):
-        finder = ActingPointFinder(border, field)
+        finder = ActingPointFinder(border.struct, field)
         ratios[border] = largest_step(acting_points(finder, coarse)) / largest_step(
             acting_points(finder, fine[:last])
         )
@@ -102,7 +102,7 @@ def test_desired_acceleration_jumps_20_times_less_with_surface_than_points(
     field, base = ScoreField.of(robot, "lEE"), robot.description.base
     largest = {}
     for border in (surface, points):
-        finder = ActingPointFinder(border, field)
+        finder = ActingPointFinder(border.struct, field)
         accelerations = []
         for p_b in random_path(seed, 4001):
             d = abs(p_b[1]) - 0.345

@@ -15,7 +15,7 @@ import numpy as np
 from app.avoidance.closest_points import ClosestPoints
 from app.config import Config
 from app.robot.link_pairs import PairDistances
-from app.robot.state import RobotState
+from app.robot.state import RobotState, point_bias
 from benchmarks.law.motions import Motion, random_motion
 from benchmarks.law.options import Options
 from benchmarks.law.postures import posture_in_buffer
@@ -135,10 +135,15 @@ def _fixed_points(state: RobotState, closest: ClosestPoints) -> tuple[float, flo
     """
     model, n = state.model, closest.n
     a, b = model.body_joints[closest.pair.a], model.body_joints[closest.pair.b]
-    bias = state.point_bias(b, closest.p_b) - state.point_bias(a, closest.p_a)
+    bias = _point_bias(state, b, closest.p_b) - _point_bias(state, a, closest.p_a)
     v = state.point_velocity(b, closest.p_b) - state.point_velocity(a, closest.p_a)
     across = v - (v @ n) * n
     return float(n @ bias), float(across @ across)
+
+
+def _point_bias(state: RobotState, joint: int, p: Array) -> Array:
+    """(3,) [m/s²] acceleration at q̈ = 0 of the point at p (3,) of the body on a joint."""
+    return np.array(point_bias(state.twists[joint], state.biases[joint], p))
 
 
 def _differences(robot: Robot, motion: Motion, t: float, h: float) -> Array:

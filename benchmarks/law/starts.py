@@ -21,7 +21,6 @@ import platformdirs
 
 from app.errors import UnreachableError
 from app.robot.assets import resolved_urdf
-from app.simulation.scenarios import posture as posture_module
 from app.simulation.scenarios import start as start_module
 from app.simulation.scenarios.start import StartSolver
 from benchmarks.law.robot import load
@@ -133,7 +132,7 @@ def _solver(robot: str) -> StartSolver:
 def _digest(robot: str) -> str:
     model, data, *_ = load(robot)
     pairs = repr([(pair.name, pair.a, pair.b) for pair in data.pairs.all])
-    sources = "".join(map(inspect.getsource, (start_module, posture_module)))
+    sources = inspect.getsource(start_module)
     content = (
         sources + resolved_urdf(model.description) + pairs + model.description.model_dump_json()
     )
