@@ -235,7 +235,7 @@ class Controller:
         return w
 
     def _rescue(self, which: int) -> None:
-        """Solve an open QP by ProxQP, or the hierarchy; write row `which` of qp_x and qp_tried."""
+        """Solve problem `which` that the law left open, and write its row of qp_x and qp_tried."""
         w, m = self.last, int(self.last.qp_rows)
         w.qp_tried[which] = 1.0
         if which == algorithm.HIERARCHY:

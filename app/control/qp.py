@@ -272,9 +272,9 @@ def solve_qp(
 ) -> tuple[Array, bool]:
     """Solve min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
 
-    A slack s of a soft limit costs ½ s² / (ε² κ), where ε² is the limit's softness and κ is the
-    smallest C_j H⁻¹ C_jᵀ of the soft limits. If no other limit is active, the slack is at most ε²
-    times the violation at the optimum without limits. Contradictory soft limits are feasible too.
+    A slack s of a soft limit costs ½ s² / (ε² κ). ε² is the limit's softness, κ the smallest
+    C_j H⁻¹ C_jᵀ of the soft limits, over the entries of x that can change. If no other limit is
+    active, s ≤ ε² times the violation without limits. Contradictory soft limits are feasible too.
 
     H (n, n) is symmetric positive definite, c (n,) the linear term. The rows C (m, n) have the
     limits l and u (m,) and the softness ε² (m,) [-]; a row with 0 is hard. `fixed` (k,) are the

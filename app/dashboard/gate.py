@@ -208,7 +208,7 @@ class Gate:
 
 
 class _Connection(ServerConnection):
-    """A connection that answers every HTTP request, and returns checked messages only.
+    """A connection that answers every HTTP request; `recv` returns only allowed messages.
 
     The library `websockets` answers only GET requests of HTTP/1.1, but proxies send HTTP/1.0, and
     health checks send HEAD requests.

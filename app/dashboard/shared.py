@@ -76,7 +76,7 @@ class Tuning:
             self._sink.send(Configure(config))
 
     def load(self, config: Config) -> None:
-        """Replace the configuration, as one step; `ConfigError` if a gain is too large."""
+        """Set the configuration, as one step of `undo`; `ConfigError` if a gain is too large."""
         with self._lock:
             if config != self.config:
                 check_gains(config, config.disturbance.stated_period)

@@ -37,7 +37,7 @@ class Workers(AbstractContextManager["Workers"]):
         """Prepare a number of processes; default: one for each usable core.
 
         If the number is one, or if a process cannot start, this process executes the jobs.
-        `make_context` makes the data that all jobs of a process share; it must be picklable.
+        `make_context` must be picklable; it makes the data that all jobs of a process share.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()

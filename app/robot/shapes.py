@@ -176,7 +176,7 @@ _THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def _thick(points: Array) -> Array:
-    """Points (N, 3) [m], doubled along each principal axis along which they extend below 0.1 mm."""
+    """Points (N, 3) [m]; if thinner than 0.1 mm along a principal axis, two copies 0.1 mm apart."""
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
         if np.ptp(points @ axis) < _THIN:

@@ -164,7 +164,7 @@ def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twists (2 + n_m, 6) of the bodies on all joints, at the origin of the world, and their
     derivatives at q̈ = 0; the first row is the world's. v (3 + n_m,) is pinocchio's velocity.
 
-    The base's axes are fixed to the base, so that its twist is constant at q̈ = 0.
+    v[:3] has axes fixed to the base. At q̈ = 0 the base moves on a circle, with a constant twist.
     """
     joints = J.shape[1] - 1
     twists, biases = np.zeros((joints, 6)), np.zeros((joints, 6))
@@ -356,7 +356,7 @@ def _before(vector: Array, count: int, size: int) -> Array:
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Data for distances by the present poses alone: no search starts at its previous result."""
+    """Data for distances that depend only on the present poses: each search starts anew."""
     data = pin.GeometryData(geometry)
     for k in range(len(data.distanceRequests)):
         data.distanceRequests[k] = coal.DistanceRequest()

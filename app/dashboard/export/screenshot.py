@@ -39,9 +39,9 @@ def take_pictures(
 ) -> list[Image.Image]:
     """Return a picture for each of `times` [s]: of the last snapshot at or before this time.
 
-    `clouds` has P_i of each pair of L_m, by the pair's name. All pictures have the same viewpoint,
-    but if `look.page`, each has its own. Raises `BrowserError` if the browser's page does not
-    connect, and `AssetError` as `RobotParts`.
+    `clouds` has P_i of each pair of L_m, by the pair's name. With `look.page`, each picture has its
+    own viewpoint; otherwise all have the same. Raises `BrowserError` if the browser's page does
+    not connect, and `AssetError` if `RobotParts` raises it.
     """
     loop = RecordedLoop(snapshots)
     with ExitStack() as stack:

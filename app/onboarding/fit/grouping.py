@@ -1,8 +1,8 @@
 """Grouping of links into bodies whose pairs detect collisions and do not react in free postures.
 
 Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A pair of bodies
-detects a collision if the bodies overlap in the same posture. Bodies that are neighbours are not a
-pair; the pairs in `Verdict.unwatched` are not monitored.
+detects a collision of links if the bodies overlap in the posture of this collision. Bodies that
+are neighbours are not a pair; the pairs in `Verdict.unwatched` are not monitored.
 """
 
 from collections.abc import Collection, Mapping, Sequence

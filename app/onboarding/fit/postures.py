@@ -205,8 +205,8 @@ def fault_of_run(
 ) -> str:
     """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
-    At the end, the base has to be `GIVES_WAY` times d_b away from its start. The arm has to stay
-    `CLEARANCE` away from the base, and 0.01 m from the floor. `on_progress` gets the run's share.
+    At the end, the base has to be `GIVES_WAY` times d_b from its start. The arm always has to stay
+    `CLEARANCE` from the base and 0.01 m from the floor. `on_progress` gets the finished share.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -441,7 +441,7 @@ class _Guide:
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] tops of l_m's parts, at most `most`, from high to low, more than `_SAME_TOP` apart."""
+    """[m] tops of l_m's parts, lowered to `most` if higher, descending by over `_SAME_TOP`."""
     found: list[float] = []
     for top in sorted((min(float(part.upper[2]), most) for part in body.parts), reverse=True):
         if not found or top < found[-1] - _SAME_TOP:

@@ -131,7 +131,7 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario, and end a pause; a pull of the end-effector ends the scenario's motion."""
+    """Start a scenario and end any pause; a pull of the end-effector ends the scenario's motion."""
 
     scenario: Scenario
 

@@ -111,7 +111,7 @@ class Ensemble:
             self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """As the command `Pull`; raises a TargetError if `MAX_PULLS` others hold the robot."""
+        """As `Pull`; raises a TargetError if `MAX_PULLS` other people already hold the robot."""
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None:

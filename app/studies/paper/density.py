@@ -110,9 +110,7 @@ def jump_and_cost(
 
 @style.picture("continuity", "§4.3: a continuous border", LATERAL)
 def figure_continuity(sources: Sources) -> drawing.Drawing:
-    """On a border of points, the acting point jumps from point to point while the end-effector
-    moves. With more points the jumps are smaller and the search takes longer.
-    """
+    """On a border of points, the acting point jumps while the end-effector moves."""
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
     finders = {"points": sources.finder(points), "surface": sources.finder()}
     coarse, fine = (smooth_path_in_buffer(sources, dt) for dt in (DT, DT / FINER))

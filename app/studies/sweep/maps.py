@@ -46,7 +46,7 @@ class Quantity(NamedTuple):
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[m] radius in plan of a bar's end; if larger values are better, at least the limit's."""
+        """[m] radius in plan of a bar's end; at least the limit's radius if more is better."""
         shown = max(value, self.limit) if self.more_is_better else value
         return _INNER + (_OUTER - _INNER) * max(self.share(shown), _MIN_BAR)
 
