@@ -8,13 +8,15 @@ from collections.abc import Callable
 from xml.etree import ElementTree
 
 import pytest
+import trimesh
 
-from app.errors import AssetError, DescriptionError, UnknownNameError
+from app.errors import AssetError, DescriptionError, RobotFileError, UnknownNameError
 from app.robot import assets
-from app.robot.assets import resolve_package_uri, resolved_urdf, robot_names
+from app.robot.assets import resolve_package_uri, resolved_urdf, robot_names, shown_urdf
 from app.robot.bases import kind
 from app.robot.description import load_description, load_robot
 from app.robot.model import RobotModel
+from app.simulation.plants.collision_shapes import collision_shapes
 from app.strict import from_toml
 
 ORIGINAL = from_toml((assets.ASSETS / "husky_panda/robot.toml").read_text(encoding="utf-8"))
@@ -257,6 +259,52 @@ def test_a_missing_mesh_is_named(with_urdf):
     RobotModel(description)  # the model needs shapes, not meshes
 
 
+ALL = slice(None)
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
+
+
+@pytest.mark.parametrize(
+    ("kind", "part", "why"),
+    [
+        ("stl", ALL, ""),
+        ("stl_ascii", ALL, ""),
+        ("obj", ALL, ""),
+        ("obj", lambda content: b"mtllib a.mtl\n" + content.replace(b"\n", b"\r\n"), ""),
+        ("stl", slice(200), "is damaged"),
+        ("stl", slice(-1), "is damaged"),
+        ("stl", lambda content: bytes(len(content)), "is damaged"),
+        ("stl_ascii", slice(200), "is damaged"),
+        ("obj", slice(60), "is damaged"),
+        ("obj", slice(-60), "is damaged"),
+        ("obj", slice(0), "is an empty file"),
+        ("obj", lambda _: POINTER, "is a Git LFS pointer"),
+        ("obj", lambda content: content + b"f 1 2 99\n", "copy or export this mesh again"),
+    ],
+)
+def test_a_damaged_mesh_is_refused_in_one_line(with_urdf, tmp_path, kind, part, why):
+    """It is not replaced by the convex bodies, unlike a missing one, and logs leave it out."""
+    pytest.importorskip("pybullet_data")
+    address, name = "package://pybullet_data/husky/meshes/top_plate.stl", f"m.{kind[:3]}"
+    boxes = trimesh.Scene([trimesh.creation.box((0.1, 0.1, z)) for z in (0.1, 0.2)])
+    if kind == "obj":
+        content = boxes.export(file_type=kind, header="dbb: 24 faces").encode()
+    else:
+        found = boxes.to_mesh().export(file_type=kind)
+        content = found.encode() if isinstance(found, str) else found
+    description = with_urdf(lambda text: text.replace(address, name))
+    (tmp_path / "husky_panda" / name).write_bytes(
+        content[part] if isinstance(part, slice) else part(content)
+    )
+    if not why:
+        assert name in shown_urdf(description)
+        assert len(collision_shapes(RobotModel(description)).shapes)
+        return
+    with pytest.raises(RobotFileError, match=f"{name}.*{why}") as caught:
+        collision_shapes(RobotModel(description))
+    assert "\n" not in str(caught.value)
+    assert (name in shown_urdf(description)) == ("this mesh" in why)
+
+
 def test_a_urdf_that_is_not_xml_is_named(with_urdf):
     with pytest.raises(DescriptionError, match=r"robot\.urdf: not well-formed"):
         RobotModel(with_urdf(lambda text: text[:-20]))
@@ -313,7 +361,7 @@ def test_resolved_urdf_contains_no_package_uri():
 def test_mesh_paths_are_resolved_with_any_quotes_and_escapes(tmp_path, monkeypatch):
     folder = tmp_path / "you & me"
     folder.mkdir()
-    (folder / "a & b.stl").touch()
+    (folder / "a & b.stl").write_text("solid a\nendsolid a\n")
     (folder / "robot.urdf").write_text(
         "<robot name='r'><!-- <mesh filename=\"none.stl\"/> --><link name='a'><visual><geometry>"
         "<mesh filename='a &amp; b.stl'/></geometry></visual></link></robot>",

@@ -362,6 +362,8 @@ def test_only_meshes_that_the_new_urdf_names_remain(tmp_path: Path) -> None:
     named = [mesh.get("filename") for mesh in ElementTree.fromstring(text).iter("mesh")]
     assert [f"meshes/{path.name}" for path in (home / "meshes").iterdir()] == named
     assert named[0].endswith(".obj")
+    content = (home / named[0]).read_text()
+    assert content.startswith(f"# dbb: {content.count(chr(10) + 'f ')} faces\n")
 
 
 @pytest.mark.parametrize("unit", ["0", "-1", "0,001", "mm", ""])

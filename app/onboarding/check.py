@@ -26,7 +26,7 @@ from app.onboarding.numbers import gravity_load, largest_of_postures
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.robot.assets import urdf_path
+from app.robot.assets import resolved_urdf, urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
 from app.robot.model import RobotModel
@@ -266,6 +266,7 @@ def arm_row(model: RobotModel) -> Row:
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
     """The geometry of the robot's links, extended by the motions of some links; see `filled`."""
+    resolved_urdf(model.description)  # refuses damaged meshes
     tree = make_tree(read_robot(urdf_path(model.description))[0])
     chain = [tree.joints[name] for name in model.description.arm.joints]
     return filled(tree, read_geometry(tree), chain)

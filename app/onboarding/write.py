@@ -255,7 +255,8 @@ def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geom
         for k, (element, pieces) in enumerate(zip(link.findall("collision"), found, strict=True)):
             if len(pieces) > 1:
                 path = _mesh_file(home, name, f"{name} {k}", ".obj")
-                trimesh.Scene([each.mesh for each in pieces]).export(path, include_normals=False)
+                obj = trimesh.Scene([each.mesh for each in pieces])
+                obj.export(path, include_normals=False, header=f"dbb: {len(obj.triangles)} faces")
                 element[:] = [Element("geometry")]
                 SubElement(element[0], "mesh", filename=path.relative_to(home).as_posix())
     named = {home / str(mesh.get("filename")) for mesh in tree.iter("mesh")}

@@ -34,6 +34,9 @@ _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large U
 _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
 _MAX_ATTRIBUTES = 100  # [-] largest number per element; some parsers compare each with all others
 _DEEPEST = 100  # [-] deepest nesting of elements
+_PART = 1 << 14  # [bytes] length of the two parts of a mesh file that are searched for damage
+# In the last part of an undamaged text file; in an OBJ file, no vertex follows the last face.
+_ENDS = {".stl": b"endsolid", ".dae": b"collada>", ".obj": rb"[\r\n][ \t]*f\s(?!.*[\r\n][ \t]*v)"}
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
     "docs/install.md lists"
@@ -200,8 +203,8 @@ _ZERO_INERTIAL = (
 
 
 def resolved_urdf(description: HasUrdf) -> str:
-    """The robot's URDF (`read_urdf`) with the absolute path of each mesh; also raises an AssetError
-    if a mesh is missing, or if its relative path leads out of the URDF's folder.
+    """The robot's URDF (`read_urdf`) with the absolute path of each mesh. Also raises an AssetError
+    if a mesh is missing or its relative path leaves the folder; a RobotFileError if it is damaged.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
@@ -211,14 +214,13 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The URDF (`read_urdf`) with `file://` addresses of meshes, without shapes of missing ones."""
+    """The URDF (`read_urdf`) with `file://` addresses of meshes, without unusable shapes."""
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link, shape in shapes_of(tree):
         if (mesh := shape.find("geometry/mesh")) is not None:
             try:
-                path = _mesh(mesh.get("filename", ""), folder)
-                mesh.set("filename", path.resolve().as_uri())
-            except AssetError:
+                mesh.set("filename", _mesh(mesh.get("filename", ""), folder).resolve().as_uri())
+            except (AssetError, RobotFileError):
                 link.remove(shape)
     return ElementTree.tostring(tree, encoding="unicode")
 
@@ -361,13 +363,33 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
 def _mesh(reference: str, folder: Path) -> Path:
     """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF."""
     if "://" in reference:
-        return resolve_package_uri(reference)
+        return _intact(resolve_package_uri(reference))
     path, rule = Path(reference), ""
     if not path.is_absolute():
         path = (folder / reference).resolve()
         rule = "; a relative path must stay in the folder of the URDF"
     if not isfile(path) or (rule and not path.is_relative_to(folder.resolve())):
         raise AssetError(f"{folder.name}: no mesh {reference!r}{rule}")
+    return _intact(path)
+
+
+def _intact(path: Path) -> Path:
+    """The path of a mesh; a RobotFileError is raised if the file is a placeholder or damaged."""
+    end, size = path.suffix.lower(), path.stat().st_size
+    try:
+        with path.open("rb") as file:
+            begin, _ = file.read(_PART), file.seek(max(0, size - _PART))
+            tail = b"\n" + file.read().lower()
+    except OSError as error:
+        raise RobotFileError(f"mesh {path}: {error.strerror}") from None
+    refuse_placeholder(begin, f"mesh {path}")
+    whole = re.search(_ENDS.get(end, b""), tail, re.DOTALL) is not None
+    if end == ".stl" and b"\0" in begin:
+        whole = 84 < stated_stl(begin)[1] <= size
+    elif count := re.match(rb"# dbb: (\d+) faces", begin):  # of `in_pieces_urdf`
+        whole = path.read_bytes().count(b"\nf ") >= int(count[1])
+    if not whole:
+        raise RobotFileError(f"mesh {path} is damaged ({size:,} bytes); copy or export it again")
     return path
 
 

@@ -42,7 +42,7 @@ def make_physics(
         UnknownNameError: The plant does not exist.
         ConfigError: The plant does not suit the door or the base, or pybullet is not installed.
         AssetError: With `planar`, a mesh is missing, or pybullet cannot load the robot.
-        RobotFileError: With MuJoCo, the meshes exceed the limits of `collision_shapes`.
+        RobotFileError: A mesh is damaged, or exceeds the limits of `collision_shapes` (MuJoCo).
     """
     kind = chosen_plant(kind)
     if kind == "planar" and not find_spec("pybullet"):

@@ -99,8 +99,8 @@ def geometry_with_floor(
 @kept_per_model(1)
 def collision_shapes(model: RobotModel) -> CollisionShapes:
     """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed; the
-    result is cached. If the meshes of a user's own robot exceed the limits of `within_budget`, this
-    raises a RobotFileError.
+    result is cached. A RobotFileError is raised if a mesh is damaged, or if the meshes of a user's
+    own robot exceed the limits of `within_budget`.
     """
     description = model.description
     try:
@@ -129,7 +129,8 @@ def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
     try:
         loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     except ValueError as error:  # assimp reports exhausted memory like a damaged file
-        raise MemoryError if "bad_alloc" in str(error) else error from None
+        why = f"{str(error).rpartition('message: ')[2].strip()}; copy or export this mesh again"
+        raise MemoryError if "bad_alloc" in why else RobotFileError(why) from None
     return tuple(
         _shape(model.frames[each.parentFrame].name, each, piece)
         for each in loaded.geometryObjects

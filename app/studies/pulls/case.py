@@ -12,7 +12,7 @@ import numpy as np
 from app.border.cache import BorderData, load_border_data
 from app.border.mobile import MobileBody
 from app.config import parameter
-from app.errors import AssetError, DbbError, StudyError, UnreachableError
+from app.errors import AssetError, DbbError, RobotFileError, StudyError, UnreachableError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
@@ -242,11 +242,11 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
     `nan` is true if a torque, a pose of the base or a result is not finite. If the run stops with
-    an error, `error` is the reason, and the row has no results; but an AssetError is raised.
+    an error, `error` is the reason, without results; but errors of the robot's files are raised.
     """
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)
-    except AssetError:
+    except (AssetError, RobotFileError):
         raise
     except (DbbError, ValueError, ArithmeticError) as error:
         return {**drawn, "nan": False, "error": f"{type(error).__name__}: {error}"}
