@@ -190,13 +190,7 @@ class Session:
         begin = perf_counter()
         u_a, command, control = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
-        if measurement is truth:  # so the controller has computed the true state and distances
-            self.state = state = self.controller.state
-            distances = control.d[: len(control.pairs)].copy()
-        else:
-            self.state = state = self._own_state
-            state.update_kinematics(truth)
-            distances = np.array(self._distances.distances())
+        state, distances = self._observe(truth, measurement, control)
         if pull is not None:
             holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
@@ -236,6 +230,17 @@ class Session:
         )
         self.t += DT
         return step
+
+    def _observe(
+        self, truth: Measurement, measurement: Measurement, control: ControlStep
+    ) -> tuple[RobotState, Array]:
+        """Update `state` to the true state; the distances (k,) [m] are those of all pairs."""
+        if measurement is truth:  # so the controller has computed both
+            self.state = self.controller.state
+            return self.state, control.d[: len(control.pairs)].copy()
+        self.state = self._own_state
+        self.state.update_kinematics(truth)
+        return self.state, np.array(self._distances.distances())
 
     def _loads_of(self, config: Config) -> dict[tuple[str, float, Vector3, float], PointLoad]:
         """The loads with a mass, by name, mass [kg], centre [m] and time of beginning [s]."""

@@ -13,10 +13,6 @@ if TYPE_CHECKING:
     from app.simulation.plants.interface import Physics
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
-PYBULLET_MISSING = (
-    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
-    "Python (docs/install.md)"
-)
 _FORMERLY = {"contact": "mujoco-contact"}
 
 
@@ -46,6 +42,8 @@ def make_physics(
     """
     kind = chosen_plant(kind)
     if kind == "planar" and not find_spec("pybullet"):
+        from app.simulation.plants.interface import PYBULLET_MISSING
+
         why = f"the plant planar {PYBULLET_MISSING}"
         raise ConfigError(f"{why}; --physics mujoco works without pybullet")
     # Imported here, because each plant must work without the libraries of the other plants.

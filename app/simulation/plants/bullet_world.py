@@ -22,10 +22,16 @@ from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.urdf import origin
-from app.simulation.plants import PYBULLET_MISSING
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs, link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor, T_link_ee
-from app.simulation.plants.interface import GRAVITY, Contacts, HeldDoor, Push, Wrench
+from app.simulation.plants.interface import (
+    GRAVITY,
+    PYBULLET_MISSING,
+    Contacts,
+    HeldDoor,
+    Push,
+    Wrench,
+)
 from app.strict import Array
 from app.system import decimal_points, flush_c_output
 

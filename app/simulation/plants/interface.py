@@ -14,6 +14,10 @@ from app.simulation.plants.door import Door
 from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
+PYBULLET_MISSING = (
+    "needs pybullet, which is not installed; there are no wheels of pybullet for some versions of "
+    "Python (docs/install.md)"
+)
 
 
 class Contacts(NamedTuple):

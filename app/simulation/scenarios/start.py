@@ -18,10 +18,9 @@ from app.robot.model import RobotModel, kept_per_model, length_bound
 from app.robot.state import RobotState, at_rest, geometry_data
 from app.simulation.plants.collision_shapes import FLOOR, geometry_with_floor
 from app.simulation.plants.door import Door
-from app.simulation.scenarios.line import Point
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.words import spoken
-from app.strict import Array
+from app.strict import Array, Vector3
 
 _MAX_EVALUATIONS = 60  # [-] largest number of evaluations of the residual
 _JOINT_MARGIN = 0.03  # [-] margin to a limit in the least squares, relative to the joint's range
@@ -222,7 +221,7 @@ class StartSolver(PostureSearch):
 
     def solve(
         self,
-        p_ee: Point,
+        p_ee: Vector3,
         *,
         seed: int = 0,
         turn: float = 0.0,
@@ -267,7 +266,7 @@ class StartSolver(PostureSearch):
     def _try(self, target: Target, guesses: Iterable[Array], along: Sequence[Array] = ()) -> Found:
         return self.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
-    def slide(self, p_ee: Point, q_m: Array) -> Array:
+    def slide(self, p_ee: Vector3, q_m: Array) -> Array:
         """Find the posture (n_m,) near `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m] in the
         same direction. An invalid posture raises an UnreachableError with the reason.
         """
@@ -279,7 +278,7 @@ class StartSolver(PostureSearch):
             raise UnreachableError(why, found.flaws)
         return found.q_m
 
-    def reaches(self, p_ee: Point, *, seed: int = 0, tries: int = 4) -> bool:
+    def reaches(self, p_ee: Vector3, *, seed: int = 0, tries: int = 4) -> bool:
         """Whether a search with at most `tries` tries finds a posture that reaches `p_ee` (3,) [m].
         The end-effector can have any direction; distances of pairs and floor are not checked.
         """
@@ -330,10 +329,10 @@ def find_start(
     model: RobotModel,
     pairs: LinkPairs,
     d_b: float,
-    p_ee: Point,
+    p_ee: Vector3,
     *,
     seed: int = 0,
-    move: Point | None = None,
+    move: Vector3 | None = None,
 ) -> Array:
     """The posture (n_m,) of `StartSolver.solve`, read-only and cached. With `move` (3,) [m], the
     path of `solve` is the straight line of this displacement from `p_ee` (3,) [m].
@@ -347,7 +346,7 @@ def find_grasp(
     model: RobotModel,
     pairs: LinkPairs,
     d_b: float,
-    base_pose: Point,
+    base_pose: Vector3,
     door: Door,
     angle: float,
     *,
@@ -459,6 +458,6 @@ def _reasons(flaws: Counter[str]) -> str:
     return "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
 
 
-def point_text(point: Point) -> str:
+def point_text(point: Vector3) -> str:
     """The coordinates of a point for a message."""
     return "(" + ", ".join(f"{x:g}" for x in point) + ") m"
