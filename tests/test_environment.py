@@ -147,6 +147,17 @@ def test_a_folder_that_another_robot_hides_is_named(
     assert [text.startswith(why) for text in said] == [True]
 
 
+def test_a_robot_in_a_folder_that_the_user_cannot_enter_is_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "closed").mkdir()
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    assert "closed" not in assets.robot_names()
+    monkeypatch.setattr(os, "access", lambda path, _: path != tmp_path / "closed")
+    assert "closed" in assets.robot_names()
+    assert assets.robot_folder("closed") == tmp_path / "closed"
+
+
 @pytest.mark.parametrize("backend", ["nosuch", "module://matplotlib_inline.backend_inline"])
 def test_backend_of_a_notebook_does_not_disturb_a_command(backend: str) -> None:
     code = (
@@ -170,7 +181,7 @@ def test_backend_of_a_notebook_does_not_disturb_a_command(backend: str) -> None:
     [
         ("~nobody-here/robots", "does not exist: ~nobody-here/robots"),
         ("{}/robot:/none", "the folder of a robot, {}/robot: name the folder around it"),
-        ("{}/file", "does not exist: {}/file"),
+        ("{}/file", "a file, not a folder: {}/file"),
         ("{}/loop", "does not exist: {}/loop"),
         ('"{}"', 'does not exist: "{}"'),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import time
 from dataclasses import replace
@@ -17,10 +19,11 @@ from app.onboarding import new_robot
 from app.onboarding.fit.travel import filled
 from app.onboarding.new_robot import finish, parse
 from app.onboarding.numbers import assumed_mass
-from app.onboarding.read.links import read_geometry
+from app.onboarding.read.links import read_geometry, read_mesh
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
 from app.onboarding.warn import held_still, wheels_carried
+from app.onboarding.whole import whole_robot
 from app.onboarding.write import compiled, description, rebased_urdf
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import collision_shapes
@@ -403,6 +406,37 @@ def test_common_faults_of_a_urdf_are_refused_with_a_remedy(
     assert old in TOY
     text = TOY.replace('name="toy"', 'name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro"')
     assert why in refused(tmp_path, text.replace(old, new))
+
+
+@pytest.mark.parametrize("closed", ["toy.urdf", "in/m.stl"])
+def test_a_file_that_the_user_may_not_read_is_named(
+    closed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (path := tmp_path / "toy.urdf").write_text(TOY.replace(BOX, '<mesh filename="in/m.stl"/>'))
+
+    def denied(own: Path, *_: object, **__: object) -> object:
+        if own == tmp_path / closed:
+            raise PermissionError(errno.EACCES, "Permission denied", str(own))
+        return os.stat(own)
+
+    monkeypatch.setattr(Path, "stat", denied)  # root may read all files
+    if closed == "toy.urdf":
+        monkeypatch.setattr(Path, "open", denied)
+    with pytest.raises(RobotFileError, match=f"{closed}: cannot be read: Permission denied"):
+        whole_robot(Request(str(path), "base", "hand", tmp_path / "out"))
+
+
+@pytest.mark.parametrize("error", [AttributeError, IndexError, KeyError, TypeError])
+def test_an_error_in_the_code_of_a_mesh_reader_becomes_advice(
+    error: type[Exception], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise error("nodes")
+
+    monkeypatch.setattr("trimesh.load", fails)
+    (path := tmp_path / "m.obj").write_text("v 0 0 0")
+    with pytest.raises(RobotFileError, match="has no triangles; export it again"):
+        read_mesh(path)
 
 
 def test_a_mesh_name_is_suggested_and_a_mirrored_mesh_has_its_volume(tmp_path: Path) -> None:

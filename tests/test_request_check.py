@@ -37,6 +37,8 @@ def test_contradictory_options_are_refused() -> None:
         ("--wheel-radius: needs --half-track", {"wheel_radius": 0.1}),
         ("--mount-xyz: places an arm with its own URDF", {"mount_xyz": (0.1, 0.0, 0.0)}),
         ("--mount-rpy: places an arm with its own URDF", {"mount_rpy": (0.0, 0.0, 0.1)}),
+        ("--file: names a URDF in a zip", {"file": "other.urdf"}),
+        ("--tip-rpy: 180 radians", {"tip_rpy": (0.0, 180.0, 0.0)}),
         ("and excludes --wheels", {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
     ):
         with pytest.raises(ConfigError, match=words):

@@ -159,7 +159,8 @@ def check_request(request: Request) -> None:
     for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
         coordinates = getattr(request, field)
         for coordinate in coordinates:
-            check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
+            unit = "radians" if field.endswith("rpy") else "m"
+            check_range(option(field), coordinate, -_FARTHEST, _FARTHEST, unit)
         if request.arm_urdf is None and field.startswith("mount") and any(coordinates):
             helps = f"add --arm-urdf, or remove {option(field)}"
             why = "in a single URDF a joint places the arm"
@@ -177,6 +178,8 @@ def check_request(request: Request) -> None:
         if bounds.kind not in ("", kind):
             helps = f"remove the option, or set --kind {bounds.kind}"
             raise ConfigError(f"{option(field)}: a {kind} base does not have this; {helps}")
+    if request.file is not None and not request.zipped:
+        raise ConfigError("--file: names a URDF in a zip; name a zip, or remove the option")
     package_folders(request.package)
     named("--xacro", request.xacro, "VALUE")
     if kind == "holonomic" and request.wheels is not None:

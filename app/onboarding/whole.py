@@ -29,12 +29,14 @@ _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR
 
 @contextmanager
 def one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert an exception of a library to a `RobotFileError` with the step that `doing` names."""
+    """Convert an exception to a `RobotFileError` with the unreadable file, or else with `doing`."""
     try:
         yield
     except DbbError:
         raise
     except Exception as error:  # pinocchio, coal, qhull, trimesh: without a common base class
+        if isinstance(error, OSError) and error.filename:
+            raise RobotFileError(f"{error.filename}: cannot be read: {error.strerror}") from None
         _log.debug("%s", doing(), exc_info=True)
         why = " ".join(str(error).split())[:300] or "no reason stated"
         raise RobotFileError(

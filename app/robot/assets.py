@@ -76,7 +76,7 @@ def is_own(name: str) -> bool:
 def robot_names() -> list[str]:
     """Names of the robots that have a description, including the user's."""
     tops = ASSETS, *user_robots()
-    found = {path.parent.name for top in tops for path in top.glob("*/robot.toml")}
+    found = {path.name for top in tops for path in top.glob("*") if _has_robot(path)}
     return sorted(name for name in found if not name.startswith("."))  # unfinished robots
 
 
@@ -96,7 +96,8 @@ def wrong_folders() -> str:
         if isfile(folder / "robot.toml"):
             return f"DBB_ROBOTS names the folder of a robot, {folder}: name the folder around it"
         if not isdir(folder):
-            return f"DBB_ROBOTS names a folder that does not exist: {folder}"
+            what = "a file, not a folder" if isfile(folder) else "a folder that does not exist"
+            return f"DBB_ROBOTS names {what}: {folder}"
         if not os.access(folder, os.R_OK | os.X_OK):
             return f"DBB_ROBOTS names a folder that this user cannot read: {folder}"
     return ""
@@ -119,7 +120,13 @@ def hidden_robot(name: str) -> str:
 def _folders(name: str) -> list[Path]:
     """All folders with a robot of this name; a delivered robot is first and has precedence."""
     tops = ASSETS, *user_robots()
-    return [folder for top in tops if isfile((folder := top / name) / "robot.toml")]
+    return [folder for top in tops if _has_robot(folder := top / name)]
+
+
+def _has_robot(folder: Path) -> bool:
+    """Whether a folder has a `robot.toml`, or may have one because this user cannot enter it."""
+    hidden = isdir(folder) and not os.access(folder, os.X_OK)
+    return hidden or os.path.exists(folder / "robot.toml")
 
 
 def resolve_package_uri(uri: str) -> Path:
@@ -276,6 +283,16 @@ _KINDS = {  # kinds of files by their first bytes
     b"\x7fELF": "a program",
 }
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
+
+
+def refuse_hidden(path: Path) -> None:
+    """Raise a PermissionError if this user may not see whether a file exists."""
+    try:
+        path.stat()
+    except PermissionError:
+        raise
+    except (OSError, ValueError):
+        pass
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:

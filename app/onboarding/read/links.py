@@ -169,14 +169,16 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
                 scene.geometry[part] = _lightened(merged, _CELL / scale)
         joined = scene.to_mesh()
         if not len(joined.faces):
-            raise ValueError("it has no triangles")
+            raise ValueError("it has no triangles; export it again")
         return joined.apply_scale(scale)
-    except (RobotFileError, MemoryError):
+    except (RobotFileError, MemoryError, PermissionError):
         raise
     except ImportError as error:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers' errors have no common base class
-        why = f"{' '.join(str(error).split())}{_damage(error, begin, size, end)}"
+        raw = isinstance(error, (AttributeError, IndexError, KeyError, TypeError))
+        why = "it is damaged or has no triangles" if raw else " ".join(str(error).split())
+        why += _damage(error, begin, size, end) or "; export it again" * raw
         raise RobotFileError(f"{name}: it cannot be read as .{end}: {why}") from None
 
 

@@ -73,8 +73,7 @@ def unpack(archive: Path, folder: Path) -> list[str]:
 
 def _check_size(archive: Path) -> None:
     """Refuse a file that is not a zip, or is too large, before its list of files is read."""
-    size = archive.stat().st_size
-    if size > LARGEST_ARCHIVE:
+    if (size := archive.stat().st_size) > LARGEST_ARCHIVE:
         raise RobotFileError(f"{size / 1e6:.0f} MB; the limit is {LARGEST_ARCHIVE / 1e6:.0f} MB")
     with archive.open("rb") as file:
         file.seek(max(0, size - (1 << 16) - 22 - 20))
@@ -146,8 +145,7 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
             raise RobotFileError(f"it has {len(urdfs)} URDFs; name one by --file: {some}")
         if file not in (None, *urdfs):
             raise RobotFileError(f"no URDF {file!r} in it; there are: {', '.join(urdfs)}")
-    path = root / (file or urdfs[0])
-    robot = read_source(path)[0]
+    robot = read_source(path := root / (file or urdfs[0]))[0]
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
         if Path(reference).suffix.lower() not in FORMATS:

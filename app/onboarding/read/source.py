@@ -20,6 +20,7 @@ from app.robot.assets import (
     followed,
     package_roots,
     refuse_entities,
+    refuse_hidden,
     refuse_placeholder,
     resolve_package_uri,
     shapes_of,
@@ -45,7 +46,7 @@ def locate(source: str) -> Path:
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
     path = resolve_package_uri(source) if scheme == "package" else path
     if not isfile(path):
-        why = "it is a folder" if path.is_dir() else "no such file"
+        why = "it is a folder" if isdir(path) else f"no such file{_near(path.parent, path.name)}"
         raise RobotFileError(f"{source}: {why}; name a URDF, a xacro, a zip or package://PACKAGE/…")
     return followed(path)
 
@@ -197,8 +198,7 @@ def _missing(reference: str, folder: Path, packages: Packages) -> str:
     """Why the file of an address does not exist, with a correction."""
     scheme, package, path = _split_address(reference)
     if scheme in _IN_PACKAGE:
-        roots = [*dict.fromkeys(packages(package))]
-        if not roots:
+        if not (roots := [*dict.fromkeys(packages(package))]):
             return _nowhere(package, path, folder)
         where = f"no such file in the package {package!r}: {', '.join(map(str, roots))}"
         near = next(filter(None, (_near(root, path) for root in roots)), "")
@@ -212,6 +212,7 @@ def _missing(reference: str, folder: Path, packages: Packages) -> str:
 
 def _near(root: Path, path: str) -> str:
     """The text ` (did you mean 'x'?)` with the closest path below a folder, or an empty string."""
+    refuse_hidden(root / path)
     found = Path()
     for part in Path(path).parts:
         names = [part] if part == ".." else [each.name for each in (root / found).glob("*")]
