@@ -192,3 +192,14 @@ def test_marks_and_event_buttons_of_the_time_line(tab, served):
     tab.page.get_by_text(said).wait_for(timeout=40_000)
     tab.click("Clear marks")
     wait_for(lambda: page.timeline.begin is None)
+
+
+def test_strip_has_the_colours_of_the_theme_also_during_a_pause(tab):
+    drawn = "() => document.querySelector('.dbb-strip').toDataURL()"
+    tab.open_tab("View")
+    dark = tab.page.evaluate(drawn)
+    tab.check("Dark theme", on=False)
+    tab.wait(f"dark => ({drawn})() !== dark", dark)
+    tab.check("Dark theme", on=True)
+    tab.wait(f"dark => ({drawn})() === dark", dark)
+    tab.open_tab("Plots")

@@ -111,6 +111,8 @@ window.dbbControls = (box, ranges) => {
   const draw = () => {
     if (!due) due = requestAnimationFrame(() => ((due = 0), paint(), hovered && explain()));
   };
+  const theme = new MutationObserver(draw); // the strip's colours are those of the theme
+  theme.observe(document.documentElement, { attributeFilter: ["data-mantine-color-scheme"] });
   const paint = () => {
     const dpr = window.devicePixelRatio || 1, w = width(), h = HEIGHT - 31;
     const [W, H] = [Math.round(w * dpr), Math.round(h * dpr)];
@@ -424,6 +426,7 @@ window.dbbControls = (box, ranges) => {
     seen: () => ({ from: from(), until: until(), now, at, rows, events: [...events.values()] }),
     end: () => {
       ending.abort();
+      theme.disconnect();
       for (const element of [head, card, bar, edge, past, hint]) element.remove();
     },
   };
