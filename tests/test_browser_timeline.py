@@ -195,7 +195,7 @@ def test_marks_and_event_buttons_of_the_time_line(tab, served):
 
 
 def test_strip_has_the_colours_of_the_theme_also_during_a_pause(tab):
-    drawn = "() => document.querySelector('.dbb-strip').toDataURL()"
+    drawn = "() => document.querySelector('#dbb-strip').toDataURL()"
     tab.open_tab("View")
     dark = tab.page.evaluate(drawn)
     tab.check("Dark theme", on=False)
