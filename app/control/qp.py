@@ -90,11 +90,15 @@ def backward(L: Array, b: Array) -> Array:
 @compiled()
 def inverse_diagonal(L: Array) -> Array:
     """The diagonal (n,) of H⁻¹ with H = L Lᵀ."""
-    found, unit = np.empty(len(L)), np.zeros(len(L))
-    for i in range(len(L)):
-        unit[i] = 1.0
-        column = forward(L, unit)
-        unit[i], found[i] = 0.0, dot(column, column)
+    n = len(L)
+    found, x = np.zeros(n), np.empty(n)
+    for i in range(n):  # the column L⁻¹ e_i starts at its i-th entry
+        for j in range(i, n):
+            value = 1.0 if j == i else 0.0
+            for l in range(i, j):
+                value -= L[j, l] * x[l]
+            x[j] = value / L[j, j]
+            found[i] += x[j] ** 2
     return found
 
 
@@ -200,10 +204,16 @@ def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple
 
     An active row counts as at its bound, a row with NaN as the most violated one.
     """
-    miss = np.maximum(below - s, s - above)
+    miss = np.empty(len(s))
+    for i in range(len(s)):
+        low, high = below[i] - s[i], s[i] - above[i]
+        miss[i] = high if high > low or math.isnan(high) else low
     for i in active:
         miss[i] = 0.0
-    p = int(np.argmax(miss))  # the first NaN, if there is one
+    p = 0
+    for i in range(len(miss)):
+        if miss[i] > miss[p] or (math.isnan(miss[i]) and not math.isnan(miss[p])):
+            p = i
     return p, float(miss[p])
 
 
@@ -223,12 +233,14 @@ def _nearest_within(
     if _holds(C, l, u, x, _MISSED):
         return x, True
     n, m = len(x), len(l)
-    a, length, reached = np.empty((m, n)), np.empty(m), times(C, x)
+    a, below, above, length = np.empty((m, n)), np.empty(m), np.empty(m), np.empty(m)
     for i in range(m):
-        row = forward(L, C[i])
-        length[i] = math.sqrt(dot(row, row)) + 1e-12
-        put(a[i], row / length[i])
-    below, above = (l - reached) / length, (u - reached) / length
+        put(a[i], forward(L, C[i]))
+        length[i] = math.sqrt(dot(a[i], a[i])) + 1e-12
+        for j in range(n):
+            a[i, j] /= length[i]
+        reached = dot(C[i], x)
+        below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
     K, compliance = np.empty((m, m)), compliances(softness, length)
     for i in range(m):
         for j in range(m):

@@ -118,7 +118,7 @@ _DOUBT, _LARGEST_GAIN = 0.7, 3.0  # [-] threshold and upper bound of the evidenc
 _CONVINCING = 3.0  # [-] evidence that changes the lag
 _VIOLENT = 1.5  # [-] smallest speed, relative to its limit, of a joint that can contradict the
 # torques; friction and stiff contacts let slower joints move less than their torques
-_RECENTLY = 2  # [-] number of the newest steps from group to group, one of which must be that fast
+_RECENTLY = 2  # [-] number of the newest differences of groups, at least one of them that fast
 _CONTRADICTORY, _JUMPS = 8.0, 0.5  # [-] evidence at which the readings are no longer used, and the
 # evidence of one jump; a strong pull lets a light joint jump in some ten successive steps
 _CLEARLY = 4.0  # [-] factor by which the squared error of a lag must be smaller than the others

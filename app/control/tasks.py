@@ -216,12 +216,20 @@ def add_tracking(
 
     Paper: Eq. (26).
     """
-    H_all = np.empty_like(H)
-    for i in range(len(c)):
-        for j in range(len(c)):
-            both = dot(J[:, i], J[:, j])
+    n, (k, _) = len(c), J.shape
+    H_all, c_all = np.empty((n, n)), np.empty(n)
+    for i in range(n):
+        damped = driven = 0.0
+        for j in range(n):
+            both = 0.0
+            for l in range(k):
+                both += J[l, i] * J[l, j]
             H_all[i, j] = H[i, j] + weight * (lm_damping * H[i, j] + both)
-    return H_all, c + weight * (lm_damping * times(H, velocity) - times(J.T, b))
+            damped += H[i, j] * velocity[j]
+        for l in range(k):
+            driven += J[l, i] * b[l]
+        c_all[i] = c[i] + weight * (lm_damping * damped - driven)
+    return H_all, c_all
 
 
 @compiled()

@@ -291,10 +291,8 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
     borne = warn.borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no monitored part of the arm can meet the base", {})
-    person, numbers = (
-        model.description.config.hand.f_max,
-        {"least_push_borne_n": float(borne.min())},
-    )
+    person = model.description.config.hand.f_max
+    numbers = {"least_push_borne_n": float(borne.min())}
     weak = float((borne < person).mean())
     text = f"in all postures near the base, the joint torques resist a push of {borne.min():.0f} N"
     if weak > warn.OFTEN:

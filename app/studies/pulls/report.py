@@ -84,7 +84,7 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict[str, Any]]] = {
     "arm met itself": (met_itself, {"marker": "+", "s": 54, "c": "#882E72"}),
     "fallback command, NaN or error": (failed, {"marker": "^", "s": 34, "c": "#D55E00"}),
 }
-"""Marker of failed cases, by the first reason of which the rule applies to a case."""
+"""Markers of failed cases by reason; a case gets that of the first reason that applies to it."""
 
 
 def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[dict, Envelope]:
