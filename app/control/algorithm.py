@@ -1,14 +1,14 @@
 """Algorithm 2 on one page: measurement in, arm torques and base velocity command out.
 
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
-table of quantities (`app.control.quantities`). The formulas of other modules take arrays instead of
-`w`, and only this file connects them; `readings`, `references`, `estimate_load` and
+table of quantities (`app.control.quantities`). Most formulas of other modules take arrays instead
+of `w`, and only this file connects them; `readings`, `references`, `estimate` and
 `torque_reachable_bounds` work on `w` itself. docs/method.md has the formulas beyond the paper's.
 
 Tasks have weights instead of strict levels, and each QP is strictly convex. Each row of T_sca for a
 pair within the arm, and each row of T_rep (method `repulsive`), is a spring whose stiffness grows
 with its activation β (`insert_rows`). The base's rows are blended with the other tasks
-(`blend_base`); only in `set_up_room` they are springs too. A row with β = 0 has no effect, so the
+(`blend_base`); in `set_up_room` they are also springs. A row with β = 0 has no effect, so the
 branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
 The base's command (`command_base`) is computed before the arm's torques, because the base follows
@@ -222,10 +222,10 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """Write the base's accelerations: a_free, the blend a_des of (29), and the commanded one.
 
     While a person guides the arm, only the method `barrier` solves the QP of a_free; with the other
-    methods a_free = −k ν, with k = `base_damping`. If β_m > 0, `undragged` then changes a_des.
-    While tracking, the QP of `set_up_room` changes the result as little as necessary for the arm to
-    fulfil T_2 within its limits. Finally, the command is clipped to ±a_max. The function ends early
-    if Python has to solve a QP. If a QP has no solution, the command is −k ν: the base brakes.
+    methods a_free = −k ν, with k = `base_damping`. The command begins as a_des; if β_m > 0,
+    `undragged` changes it. While tracking, the QP of `set_up_room` changes it as little as needed
+    for the arm to fulfil T_2 within its limits. Finally, it is clipped to ±a_max. The function ends
+    early if Python has to solve a QP. If a QP has no solution, the command is −k ν (braking).
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0

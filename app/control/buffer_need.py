@@ -5,7 +5,7 @@ along -n at a constant speed v, independent of the base. While its distance is l
 law accelerates the base in each of its channels k (v and ω of a differential base) by at least
 a_k(d_*). The dead time t_0 precedes this acceleration, and w_k is the final speed of the channel.
 Until the base is as fast as the end-effector, the distance decreases by at most x(d_*). Therefore
-it never falls below the largest d_* - x(d_*).
+the distance never falls below the largest d_* - x(d_*).
 """
 
 import math
@@ -47,7 +47,7 @@ def _bound(
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] largest d_* - x(d_*); −∞ if Σ w_k is below v at every d_*.
+    """[m] largest d_* - x(d_*); −∞ if Σ w_k exceeds v at no d_*.
 
     The rows of `channels` (c, 6) are those of `_channels`, `late` [s] is t_0, and `traction` the
     share of a speed that is not lost to slip. `alpha_min` and `d_full` are in m.
@@ -101,9 +101,9 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b for which the bound of the distance is at least `RESERVE`.
 
-    Delay and slip are those of the configuration; the configured d_b has no influence. The result
-    is at least the larger of `RESERVE` and d_full, and equals this value if v ≤ 0. It is infinite
-    if no d_b up to 2 m suffices, for example because the arm is faster than the base.
+    The configured d_b has no influence. The result is at least the larger of `RESERVE` and d_full,
+    and equals this value if v ≤ 0. It is infinite if no d_b up to 2 m suffices, for example because
+    the arm is faster than the base.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:

@@ -1,4 +1,4 @@
-"""Monitor of the speed at which the arm approaches the base, and of the d_b that this requires."""
+"""Monitor of the arm's approach speed to the base, and of the d_b that this speed requires."""
 
 import math
 from collections import deque

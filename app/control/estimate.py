@@ -51,7 +51,7 @@ _GRAVITY = 9.81  # [m/s²]
 def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float, waited: Array) -> bool:
     """Whether the arm cannot move from the state x (3, n_m) to q (n_m,) in `steps` times dt [s].
 
-    `waited` (n_m,) is the number of steps from each joint's last reading to x.
+    `waited` (n_m,) is the number of steps between each joint's last reading and the time of x.
     """
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
@@ -178,8 +178,8 @@ def advance(x: Array, predicted: Array, dt: float) -> None:
 def _learn(w: Any, predicted: Array, q: Array, qd: Array, gains: Any) -> None:
     """Include one more reading, q and qd (n_m,), in the noise estimate.
 
-    For the reading between two intervals, each interval implies a velocity; their difference, times
-    the duration of the newer interval, is the unexplained second difference of the positions. Its
+    Two successive intervals imply two velocities at the reading between them. Their difference,
+    times the newer interval's duration, is the unexplained second difference of the positions. Its
     squared change / 20 is a sample of the positions' noise. After `FEWEST` samples, an outlier is
     bounded and weighs as one period: a delay, a stop or an external force in a gap causes it. The
     squared difference of a velocity from the implied one is a sample of the velocities' noise.
@@ -264,10 +264,10 @@ def grow(p: Array, drift: float, periods: int, dt: float) -> None:
 def _torque_change(M: Array, J: Array, P: Array, loaded: float, interval: float) -> Array:
     """(n_m, n_m) covariance by noise of the change of mean external torques between two intervals.
 
-    Noise is the part `_NOISE` of the velocities' variance in P (n_m, 3, 3) for the torques by the
-    arm's inertia matrix M, and one half for the inertia forces of the mass `loaded` [kg]; the rest
-    stands for changes of the acceleration. An interval lasts `interval` [s]; J (3, n_m) is the
-    arm's part of the end-effector's linear Jacobian. `_FRICTION` is added.
+    For the torques by the arm's inertia matrix M, the part `_NOISE` of the velocities' variance in
+    P (n_m, 3, 3) counts as noise; for the inertia forces of the mass `loaded` [kg], one half of
+    this variance. An interval lasts `interval` [s]; J (3, n_m) is the arm's part of the
+    end-effector's linear Jacobian. `_FRICTION`² is added to the diagonal.
     """
     inertia, C = np.empty_like(M), np.zeros_like(M)
     for i in range(len(M)):

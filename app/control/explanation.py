@@ -300,7 +300,7 @@ def met(w: ControlStep) -> tuple[Array, Array]:
 def _joint_kind(
     model: RobotModel, w: ControlStep, config: Config, joint: int, upper: bool
 ) -> ArmBound:
-    """Whether the position limit or the speed limit causes the tighter acceleration bound."""
+    """The limit, "position" or "velocity", that causes the tighter acceleration bound."""
     at, rates = int(upper), config.limit
     q, qd = w.q_m[joint], w.qd_m[joint]
     position = position_bound(q, qd, model.q_limits[at, joint], rates.position_rate)

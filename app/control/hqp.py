@@ -1,7 +1,7 @@
 """(26) to (29) as printed in the paper (§3.4): strict levels and their transition.
 
-This is the compared method `hqp`; the other parts of its step are those of `dbb`
-(docs/comparison.md lists them). "As printed" in docs/departures.md has the necessary corrections.
+This is the compared method `hqp`, without joint limits and barriers; docs/comparison.md lists the
+parts that are those of `dbb`. "As printed" in docs/departures.md has the necessary corrections.
 The level T_sca has only the rows with β > 0. u is not an unknown here, because (26) defines
 u = M q̈ + C q̇ + g without a constraint on q̈.
 """
@@ -37,7 +37,7 @@ def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
 
 
 def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
-    """The levels below T_sca: T_2 and posture, or base at rest and gravity compensation.
+    """Levels below T_sca: while tracking T_2 and posture, else base at rest, gravity compensation.
 
     The posture level is the diagonal objective `w.H_low`; a base at rest is q̈_b = −k q̇_b, with the
     `base_damping` k; gravity compensation minimises u_a − `w.u_free` in the metric M_aa⁻¹.

@@ -91,7 +91,7 @@ def torque_reachable_bounds(
 
     First, the acceleration towards a speed limit is bounded: if a joint's torque changes at the
     rate r [N m/s or N/s], its acceleration q̈_i changes at the rate (M_aa⁻¹)_ii r. A joint whose
-    speed is lower than the speed limit by v can therefore brake in time from √(2 (M_aa⁻¹)_ii r v).
+    speed is below its limit by v can therefore end the acceleration √(2 (M_aa⁻¹)_ii r v) in time.
     Then no bound demands more than the joint's torque achieves in this step, with the other torques
     in the middle of their ranges. If one joint demanded more, the other torques would switch
     between their limits, and an arm at its torque limits would become unstable. `qd_limits`
@@ -172,7 +172,7 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
 def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
     """(n,) torque for each entry of q̇ that keeps this entry constant, without external forces.
 
-    All others have their present accelerations q̈ (n,): a wrist at its speed limit needs more torque
-    while an elbow brakes. M (n, n) and h (n,) are the step's quantities.
+    The other entries have their present accelerations q̈ (n,): a wrist at its speed limit needs more
+    torque while an elbow brakes. M (n, n) and h (n,) are the step's quantities.
     """
     return h + M @ qdd - np.diag(M) * qdd

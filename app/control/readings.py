@@ -365,7 +365,7 @@ def _compare_lags(
 
     A lag predicts the motion by `ways`, the result of `_explained`, up to a polynomial of time for
     the motion by external forces, and up to an error by dry friction. The noise of each joint is
-    unknown. "The present" is the better one of the present lag and of no prediction.
+    unknown. "The present" is the better of two: the present lag, and no prediction.
 
     Returns (lags,) the logarithm of the likelihood ratio of each lag to the present, (lags,) [rad²]
     the sum of the squared residuals of each lag, and the sum [rad²] below which a lag is clearly
@@ -510,9 +510,9 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
 @compiled()
 def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
-    """Number of control periods dt [s] since the last step, and the lead of the clock over all.
+    """Number of control periods dt [s] since the last step, and the lead of the clock [periods].
 
-    `now` [s] is the time of this step. The number is 1 without a clock or a change of its time,
+    `now` [s] is the time of this step. The number is 1 without a clock or if `now` is unchanged,
     infinite after a pause of more than 0.1 s, and 0 for a second step in the same period, because
     some loops catch up after a stall. A step that is up to 0.9 periods late, or up to half a period
     early, counts as one period; if a coarse clock has not changed for some steps, these bounds
@@ -763,8 +763,8 @@ def _learn_errors(
     The error is that of the velocities that the law used for the time of the reading: `predicted`
     (n_m,), or `w.qd_used` if the reading has a lag. It counts in `w.v_error` if the `periods`
     (n_m,) of a joint, as in `process_noise`, are more than one. After a large error or a jump of
-    the arm, the readings can be older than assumed, unless time stamps have shown an age of more
-    than one period.
+    the arm, the readings can be older than assumed, so `w.blind_time` grows, unless time stamps
+    have shown an age of more than one period.
     """
     steps, lag = 1.0 + w.age[()], int(w.lag[()])
     decay, stamped = math.exp(-steps * gains.dt / gains.noise_window), not math.isnan(w.stamp[()])
@@ -879,8 +879,8 @@ def _is_older(gains: Any, w: Any, read: Array, old: Array, age: float, first: bo
     time stamps do not show. A difference below 0.9 periods does not change the lag: jitter of the
     clock must not change the number of periods between two readings. A reading can be later by a
     part of a period than the counted periods and the lag assume. Clock and time stamp each show
-    this part. The motion in the smaller part is subtracted from the positions, unless their signs
-    differ.
+    this part; the motion in the smaller of these two parts is subtracted from the positions. If the
+    two have different signs, nothing is subtracted.
     """
     stamped, later, dt = not math.isnan(age), 0.0, gains.dt
     if stamped:

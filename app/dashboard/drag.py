@@ -67,7 +67,7 @@ class Grip:
 
         A call with `by_keys` has no effect unless keys hold the point; another call has no effect
         unless a drag does. A target below the floor is moved to z = 0, with one warning per held
-        point. If `reach` is set, no pull is sent: it gets the end-effector's unchanged targets.
+        point. If `reach` is set, no pull is sent: `reach` gets the end-effector's unchanged target.
         """
         x, y, z = (float(value) for value in target)
         with self._lock:
@@ -85,7 +85,7 @@ class Grip:
             self._pulls = True
 
     def nudge(self, ahead: Sequence[float], snapshot: Snapshot) -> None:
-        """Pull the end-effector by keys: shift its target by `NUDGE` times `ahead` (3,).
+        """Pull the end-effector by keys: shift the target by `NUDGE` times `ahead` (3,).
 
         `ahead` is forward, left and up in the base's frame, clipped to [−1, 1]. The target begins
         at the end-effector in `snapshot`, and stays within `MOST_NUDGED` of it. The first call of a

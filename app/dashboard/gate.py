@@ -256,13 +256,13 @@ class _Connection(ServerConnection):
 def is_allowed(
     origin: str | None, host: str | None, own_names: Collection[str], allowed: Collection[str]
 ) -> bool:
-    """Whether the server answers a request; `origin` and `host` are its headers, None if absent.
+    """Whether the server accepts a request; `origin` and `host` are its headers, None if absent.
 
     `Host` must be an IP address, localhost or below it, the name of this machine, or one of
     `own_names`, because another website could let its own name point to this machine. `Origin`,
     which browsers send with each websocket request, must have the same name and port as `Host`, or
     a name in `allowed`, because a proxy can change `Host`. Other programs send no origin. A request
-    with neither header is answered. `own_names` and `allowed` are in lower case.
+    with neither header is accepted. `own_names` and `allowed` are in lower case.
     """
     if host is None:
         return origin is None

@@ -146,7 +146,7 @@ def sample_border(report: Report, robot: str) -> BorderData:
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """Return the valid ones of a zip's first 20 URDFs, by path; time and memory are limited."""
+    """Return the `Contents` of each readable URDF among a zip's first 20, by the URDF's path."""
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
@@ -155,7 +155,7 @@ def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
 
 
 def build_robot(report: Report, request: Request) -> None:
-    """Create description, border and report of a new robot in the folder of the request."""
+    """Create a new robot's description and report in the request's folder, and its border."""
     from app.onboarding.new_robot import finish
 
     step = ""

@@ -31,7 +31,7 @@ _BOUNDS: dict[BoundKind, str] = {  # limits whose name is not their kind
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital first letter; a symbol such as d_b at its start is unchanged."""
+    """Capitalise a text; it is unchanged if its first word is not of letters only, such as d_b."""
     return f"{text[:1].upper()}{text[1:]}" if text.split(" ")[0].isalpha() else text
 
 
@@ -49,7 +49,7 @@ def direction(x: float, y: float) -> str:
 
 
 def place(n: Sequence[float]) -> str:
-    """Return the place on the base with this outward unit normal (3,), in the base's frame."""
+    """Return the place on the base with this outward normal (3,), in the base's frame."""
     if abs(n[2]) > 0.8:  # within 37° of the vertical
         return "top" if n[2] > 0 else "underside"
     return _sector(n[0], n[1])[1]

@@ -41,7 +41,7 @@ class Track:
         self._points: deque[tuple[float, Array]] = deque(maxlen=_LONGEST)
 
     def add(self, snapshot: Snapshot) -> None:
-        """Add the position of a snapshot if it is at least `SPACING` from the last one."""
+        """Add the position of a snapshot if it is at least `SPACING` from the last added one."""
         place = np.array(self._place(snapshot))
         if not self._points or np.linalg.norm(place - self._points[-1][1]) >= SPACING:
             self._points.append((snapshot.t, place))
@@ -174,7 +174,7 @@ def pulled(snapshot: Snapshot) -> float:
 def happenings(
     before: Snapshot | None, now: Snapshot, chain: Sequence[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, subject and text of each event since `before`; None: only a scenario's start."""
+    """Yield kind, subject and text of events since `before`; without it, a scenario's start."""
     earlier = before.scenario if before else ""
     if now.scenario != earlier:
         yield "scenario", "", f"{now.scenario} starts" if now.scenario else f"{earlier} ends"
@@ -305,7 +305,7 @@ class Timeline:
         """Mark the shown instant as the end of the interval; `LogError` if it is the start.
 
         An earlier start in this run remains, or moves to `MOST_MARKED` before the end. Without such
-        a start, the interval has this length, or begins at the oldest stored snapshot.
+        a start, the interval begins at the oldest snapshot stored within `MOST_MARKED` of its end.
         """
         with self._lock:
             at = self.shown().t  # an interval without an end has all snapshots now
@@ -344,7 +344,7 @@ class Timeline:
         return [stored for stored in (*old, *kept) if stored.t >= begin]
 
     def _mark(self, begin: float, end: float | None) -> None:
-        """Mark an interval [s]; snapshots of the previous interval of this run remain in it."""
+        """Mark an interval [s]; it can use the snapshots of the previous interval of this run."""
         marked = [] if self.earlier else self._marked
         known = {stored.t: stored for stored in (*self._stored(begin), *marked)}
         last = np.inf if end is None else end + 1e-9

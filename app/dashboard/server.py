@@ -122,7 +122,7 @@ class DashboardServer:
                     client.gui.add_html(banner("error", "Drawing has stopped", plain(error)))
 
     def _draw_picture(self) -> None:
-        """Draw a frame of each page; no local name may keep a robot that this call replaces."""
+        """Draw a frame of each page; no local name may keep a replaced robot in memory."""
         self.shared.watch(bool(self.viser.get_clients()))
         # A switch of the robot removes widgets. In a slow browser, an update of a widget could
         # arrive after its removal and cause an error: so the last update is `TEXTS_EVERY` ago.
@@ -259,7 +259,7 @@ def serve_dashboard(
 
 
 def _rested(begin: float) -> float:
-    """Return when [s, `monotonic`] to work again, after work since `begin` [s, `thread_time`]."""
+    """Return the next start of work [s, `monotonic`]; the last was `begin` [s, `thread_time`]."""
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 

@@ -59,7 +59,7 @@ def links_repel(pair: NearPair | PairReading) -> bool:
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Return a pair's state; `near` explains an active pair; the base `moves` or begins to."""
+    """Return a pair's state; `near` explains it if active; `moves`: the base moves or begins to."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.limited:

@@ -51,8 +51,8 @@ _said: dict[tuple[str, str], float] = {}  # [s] time of the last log record of e
 def _passes(record: logging.LogRecord) -> bool:
     """Whether a log record is written: one of each kind per minute, as any peer can cause records.
 
-    Records of failed connections lose the traceback if the peer can have caused the error. Their
-    texts `_KNOCKS` are changed, because viser hides records with these texts.
+    Records of failed connections (`_KNOCKS`) lose the traceback if the peer can have caused the
+    error. Their text is changed, because viser hides the text "opening handshake failed".
     """
     text = record.getMessage().partition("\n")[0]
     error = record.exc_info[1] if record.exc_info else None
@@ -164,7 +164,7 @@ def has_no_gpu(client: viser.ClientHandle) -> bool:
 
 
 def finite(value: Any) -> float:
-    """Return a value of a page as a finite number, or raise `ValueError` or `TypeError`."""
+    """Return a value as a number; raises errors of `float`, `ValueError` if not finite."""
     if not math.isfinite(number := float(value)):
         raise ValueError("not a finite number")
     return number
@@ -237,7 +237,7 @@ class _Seen(NamedTuple):
 
 
 class Watchdog:
-    """Reports viewers without answers to pings; closes connections without answers or deliveries.
+    """Reports viewers that answer no pings; closes connections without answers or without delivery.
 
     A browser answers a ping even if its page is busy. Time is counted in checks, because the thread
     that counts also receives the answers: a delay of this program counts as one check.

@@ -94,10 +94,10 @@ class PersonHand:
     """A person's hand during one hold of a point of the robot, at p_ee with velocity v_ee.
     A hand without a mass exerts F = K (p - p_ee) - D v_ee on the held point, limited to f_max. p,
     the free end of the hand's spring, starts at p_ee and moves towards the latest target as a
-    critically damped point with limited speed, so F has no steps. If the hand has a mass, F moves
-    the mass, and the robot receives the force of the grip, a spring and a damper between mass and
-    robot. While the robot stops the mass, the grip's force exceeds F, and can exceed f_max. While p
-    rests, the hand only absorbs energy, with or without a mass.
+    critically damped point with limited speed, so a new target causes no step of F. If the hand has
+    a mass, a similar force moves the mass (`_push_mass`), and the robot receives the force of the
+    grip, a spring and a damper between mass and robot. While the robot stops the mass, the grip's
+    force can exceed f_max. While p rests, the hand is passive.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
@@ -182,7 +182,7 @@ def _shorten(vector: Array, longest: float) -> None:
 def _push_mass(
     x: Array, x_dot: Array, p: Array, p_ee: Array, v_ee: Array, spring: Array, force: Array
 ) -> None:
-    """Move the mass m of the hand, `x` and `x_dot`, by one implicit Euler step of m ẍ = F - G.
+    """Move the mass m, at `x` with velocity `x_dot`, by one implicit Euler step of m ẍ = F - G.
     F = K' (p - x) - D ẋ, shortened to f_max, acts on the mass at x; G = k (x - p_ee) + c (ẋ - v_ee)
     is the grip's force on the robot, written to `force`. Both forces are those at the end of the
     step, for a held point with constant velocity. K' and k in series have the stiffness K of

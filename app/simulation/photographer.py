@@ -170,6 +170,6 @@ def _smaller(image: Array) -> Array:
 
 
 def _project(points: Array, to_clip: Array) -> Array:
-    """(N, 2) [-] coordinates right and up of points (N, 3) [m]; −1 and 1 at the picture's edges."""
+    """(N, 2) [-] picture coordinates, right and up, of points (N, 3) [m]; −1 and 1 at the edges."""
     clip = np.column_stack([points, np.ones(len(points))]) @ to_clip.T
     return clip[:, :2] / clip[:, 3:]

@@ -234,7 +234,7 @@ class Session:
     def _observe(
         self, truth: Measurement, measurement: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
-        """Update `state` to the true state; the distances (k,) [m] are those of all pairs."""
+        """Update `state` to the true state; return it and the distances (n_p,) [m] of all pairs."""
         if measurement is truth:  # so the controller has computed both
             self.state = self.controller.state
             return self.state, control.d[: len(control.pairs)].copy()

@@ -120,7 +120,7 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send all constant objects; draw labels if `labels`. Errors are those of `RobotParts`."""
+        """Send all constant objects; draw labels if `labels`. Raises the errors of `RobotParts`."""
         self._server, self._loop, self._look = server, loop, look
         self._data = SharedState(loop, model, clouds)
         self._view = View.first(self._data.mobile, [])
@@ -277,8 +277,8 @@ def film_pictures(
     Each picture shows the last snapshot at or before one of `times` [s], with the text of
     `captioned`. Per picture, the camera turns by `orbit` [rad] about the vertical axis through its
     target. In a part of a side-by-side film, `framed` has the snapshots of all robots: the camera
-    shows them all, and the base's first outline and the text of `story` are drawn. Errors are those
-    of `RobotParts`.
+    shows them all, the base's first outline is drawn, and the text is that of `story`. Raises the
+    errors of `RobotParts`.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):

@@ -98,7 +98,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
-    """Draw all messages; return the first picture that equals the one before, or the twelfth."""
+    """Wait for all messages; return the first picture that equals its predecessor, or the 12th."""
     n, ready = next(_numbers), "([name, n]) => dbbPage.arrived(name) === n"
     offscreen.send_barrier(server, n)
     values, timeout = [offscreen.BARRIER, n], 1000 * offscreen.TIMEOUT

@@ -66,7 +66,7 @@ class Viewer:
         self.camera.wanted = preset
 
     def play(self, scenario: str) -> None:
-        """End a pause; play the scenario of this name, or start without one if the name is ""."""
+        """End a pause; play the scenario of this name; for "", restart without a scenario."""
         loop = self.shared.loop
         if scenario:
             loop.send(Play(scenario_of(self.shared.model.description, scenario)))
@@ -83,7 +83,7 @@ class Viewer:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move the shown instant by `seconds`; beyond the newest instant, a paused run advances."""
+        """Move the shown instant by `seconds`, or advance a paused run from its newest instant."""
         newest = self.shared.loop.latest()
         if seconds > 0.0 and newest.paused and self.timeline.shown().t >= newest.t:
             self.timeline.go_live()
@@ -106,8 +106,8 @@ class Moment(NamedTuple):
 class Panel:
     """Widgets of one viewer; the constructor adds them to the GUI container that is open.
 
-    The callback of a widget gets viser's event; its exceptions are shown to the viewer who used
-    the widget. `update` may assign all values each time, because viser sends only changes.
+    The exceptions of a widget's callback are shown to the viewer who used the widget. `update`
+    may assign all values each time, because viser sends only changes.
     """
 
     def __init__(self, viewer: Viewer) -> None:
@@ -161,7 +161,7 @@ class Panel:
     def follow(self, handle: Any, value: Any) -> None:
         """Assign a shared value to a widget if this value has changed since the last call.
 
-        An unchanged value would replace a viewer's choice that is on its way to the simulation.
+        A repeated assignment would replace a viewer's choice on its way to the simulation.
         """
         if self.followed.get(id(handle)) != value:
             self.followed[id(handle)] = handle.value = value

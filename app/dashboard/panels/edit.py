@@ -172,8 +172,8 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 def resized(shape: Shape, half: Array) -> Shape:
     """Return the shape, resized to `half_extents` of `half` (3,) [m] if its type permits them.
 
-    The radius of a sphere becomes the entry of `half` with the largest relative change; that of a
-    cylinder or a capsule becomes such an entry for x or y.
+    The radius of a sphere becomes the entry of `half` with the largest relative change; for a
+    cylinder or a capsule, only the entries for x and y are compared.
     """
     factor = half / half_extents(shape)
     across = factor if isinstance(shape, shapes.Sphere) else factor[:2]

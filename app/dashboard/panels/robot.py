@@ -115,7 +115,7 @@ class NewRobotPanel(Panel):
         about = (
             f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
             f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; "
-            "nothing is executed. The robot's description, border and report are saved in<br>"
+            "nothing is executed. The robot's description, meshes and report are saved in<br>"
             f"<code>{escape(str(user_robots()[0]))}</code>"
         )
         with gui.add_folder("Your own robot", expand_by_default=False):

@@ -66,7 +66,7 @@ class RunPanel(Panel):
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the readings from the shown one."""
+        """Update the table of pairs from the shown snapshot, and the rest from the newest one."""
         newest, shown, verdict = moment
         course = self._shared.course
         self._pause.label = CONTINUE if newest.paused else PAUSE
@@ -146,7 +146,7 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return a table of scores; ✓: best of robots without contact or overlap, if they differ."""
+    """Return a table; ✓ marks the best of differing scores of robots without contact or overlap."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (

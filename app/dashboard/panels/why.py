@@ -221,7 +221,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
 
 
 def _task_effect(why: Explanation, *, limited: bool = False) -> str:
-    """Describe the effect on person or task; `limited`: the arm certainly resists a person."""
+    """Describe the effect on a person or on the task; if `limited`, the arm resists a person."""
     if why.mode == "guiding":
         if limited or any(pair.limited or links_repel(pair) for pair in why.near):
             return "the arm resists further guiding"

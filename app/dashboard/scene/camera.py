@@ -173,11 +173,11 @@ class Camera:
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
         """Use the last preset again if the robot is out of sight; call this method regularly.
 
-        This happens, without a pull (`busy`), in three cases: the robot was not in sight since the
+        Without a pull (`busy`), this happens in three cases: the robot was not in sight since the
         start of the run; the camera follows (`on`), and the base has moved by more than `_MOVED`
         out of sight; the camera follows, still has a preset of the whole robot or of the pair, and
-        does not show the end-effector of the robot or of a near ghost. Also during a pull, a run
-        with a door starts with the preset "door"; in a run without a door, "iso" replaces "door".
+        does not show the end-effector of the robot or of a near ghost. A run with a door starts
+        with the preset "door", also during a pull; a run without a door replaces "door" by "iso".
         """
         before, self._before = self._before or snapshot, snapshot
         begun = not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)

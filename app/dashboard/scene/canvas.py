@@ -60,9 +60,9 @@ def set_apart(
 ) -> dict[str, Spot]:
     """Choose spots for labels so that they do not overlap; earlier labels choose first.
 
-    A label without a free spot gets the first spot, and overlaps others. `before` has the spots of
-    the previous picture: a label leaves its spot only for a nearer free one, or if its spot is no
-    longer free. `labels` has coordinates [px] to the right and up, and text, by the label's name.
+    A label without a free spot gets the first spot, and can overlap others. `before` has the spots
+    of the previous picture, which need less free space, so that labels rarely jump. `labels` has
+    coordinates [px] to the right and up, and text, by the label's name.
     `free` has the left, lower, right and upper edge [px] of the area for labels. `scale` [-] is the
     size of the labels relative to `FONT_SCALE`.
     """
@@ -143,8 +143,8 @@ class Canvas:
     def segments(self, name: str, ends: Array, colours: Array, pixels: float) -> None:
         """Draw straight segments between their ends (N, 2, 3) [m]; `pixels` is the width.
 
-        Colours are uint8: always (3,) in sRGB for all segments, or always (N, 2, 3) in linear
-        colours, because viser can draw a node that changes between them in white.
+        Colours are uint8: (3,) in sRGB for all segments, or (N, 2, 3) in linear colours. Use one of
+        these shapes for each node: viser can draw a node in white after a change of the shape.
         """
         look = {"thickness": pixels, "thickness_units": "screen"}
         node = self._node(name, self._scene.add_line_segments, ends, colours, **look)

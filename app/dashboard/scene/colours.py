@@ -40,7 +40,7 @@ def ink(ground: Rgb) -> str:
 
 
 def linear(colours: Array) -> Array:
-    """Convert sRGB (..., 3) uint8 to the linear colours of arrows and single segments in viser."""
+    """Convert sRGB (..., 3) uint8 to the linear colours of arrows and segments' ends in viser."""
     u = np.asarray(colours, float) / 255.0
     light = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)
     return (255.0 * light).round().astype(np.uint8)

@@ -65,7 +65,7 @@ def legend_html(legends: list[Legend]) -> str:
 
 
 def key_html(d_b: float) -> str:
-    """Return the key to the other colours and signs as HTML, for the buffer distance d_b [m]."""
+    """Return the key to all colours and signs but the border's colours as HTML; d_b in [m]."""
     force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
     states: dict[State, str] = {
         "clear": "closest points of a pair outside its buffer",

@@ -1,8 +1,8 @@
 """Commands to the live loop: immutable records that check their values, and their mailbox.
 
-The constructor of a command raises an UnknownNameError for an invalid name, a TargetError for an
-invalid position or posture, otherwise a ConfigError. If the loop cannot execute a command later,
-the field `refusal` of the snapshots has the reason.
+The constructor of a command raises a DbbError for an invalid value. `Mailbox.put` checks the name
+of a link, and the loop checks the limits of a posture. If the loop cannot execute a command, the
+field `refusal` of the snapshots has the reason.
 """
 
 import math
@@ -26,7 +26,7 @@ MAX_WAITING = 64  # number of waiting commands from which on a pull that replace
 
 
 class Command:
-    """A command to the live loop; `Mailbox` explains the subclasses."""
+    """A command to the live loop."""
 
 
 class Adjustment(Command):
@@ -131,7 +131,7 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario and end any pause; a pull of the end-effector ends the scenario's motion."""
+    """Start a scenario and end a `Pause`; a pull of the end-effector ends the scenario's motion."""
 
     scenario: Scenario
 
@@ -152,7 +152,7 @@ class Compare(Command):
 
 
 class Mailbox:
-    """A queue of commands from any thread to the thread that executes them.
+    """A queue of commands from any thread to one thread.
     A `Pull` or `Release` replaces a waiting pull or release of the same person. A `Beginning`
     replaces a waiting `Beginning`; but a `Restart` is dropped if a `Beginning` waits. Each other
     command replaces a waiting command of its class. An `Adjustment` takes the place of the replaced

@@ -97,8 +97,8 @@ class Ensemble:
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
         If a scenario moves the robot, or the end-effector still holds the door of a scenario, all
-        robots start at the start of this scenario, otherwise at the present posture, at rest. If
-        they cannot start there, this raises a DbbError before any change.
+        robots play this scenario from its start. Otherwise they start at rest where the main robot
+        is now. If they cannot start, this raises a DbbError before any change.
         """
         if not comparison.controllers:
             self.comparison = comparison

@@ -22,7 +22,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant (`name` None: the default); raises an UnknownNameError."""
+    """The present name of a plant, by default `default_plant`; may raise an UnknownNameError."""
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
     return name
@@ -38,7 +38,7 @@ def make_physics(
         UnknownNameError: The plant does not exist.
         ConfigError: The plant does not suit the door or the base, or pybullet is not installed.
         AssetError: With `planar`, a mesh is missing, or pybullet cannot load the robot.
-        RobotFileError: A mesh is damaged, or exceeds the limits of `collision_shapes` (MuJoCo).
+        RobotFileError: A mesh is damaged or, with MuJoCo, exceeds the limits of `collision_shapes`.
     """
     kind = chosen_plant(kind)
     if kind == "planar" and not find_spec("pybullet"):

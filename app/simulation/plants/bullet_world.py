@@ -346,7 +346,7 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links on fixed joints into parents with equal contacts: pybullet loads 128 links."""
+    """Merge links on fixed joints into their parents if possible: pybullet loads at most 128."""
     nested = description.nested
     touched = {
         link: (body.name, {pair - {link} for pair in nested if link in pair})

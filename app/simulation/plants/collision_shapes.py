@@ -67,8 +67,8 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
     """Pairs of links whose bodies are a pair of `body_contact_pairs`, without those in `nested`.
-    The pairs of l_m in `unwatched` are included, except that with the arm's first body: these
-    bodies may overlap by design, their links may not.
+    Pairs of l_m in `unwatched` are also included, because their bodies may overlap by design, but
+    their links may not. The exception is the pair of l_m and the arm's first body.
     """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested, mobile = description.nested, description.mobile_body.name

@@ -159,7 +159,7 @@ class MujocoWheels(Physics):
         self._rolling = np.array([right if is_right else left for is_right in self.wheels.right])
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Execute steps with a fixed arm and constant wheel speeds (n,) [rad/s]; return each ω."""
+        """Run steps with fixed arm and constant wheel speeds (n,) [rad/s]; return the yaw rates."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN

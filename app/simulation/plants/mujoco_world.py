@@ -235,7 +235,7 @@ def _quaternion(R: Array) -> Array:
 
 
 class MujocoWorld:
-    """A compiled `RobotSpec`; with planar joints, it has the methods of a `BulletRobot`."""
+    """A compiled `RobotSpec`; with planar joints, it can replace a `BulletRobot` in `Planar`."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""

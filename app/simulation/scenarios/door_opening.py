@@ -135,7 +135,7 @@ class DoorOpening:
 
 
 def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
-    """The driver that opens a door at `rate` [deg/s]; `guess` [deg] is as `radial_guess`."""
+    """The driver that opens a door at `rate` [deg/s]; `guess` [deg]: the option `radial_guess`."""
     gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
     turn = -door.side * math.radians(guess)
     turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])

@@ -27,7 +27,7 @@ _FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one counts as a 
 
 
 class StepInput(NamedTuple):
-    """The input of one control step: the arguments of `Session.step`."""
+    """The input of one control step: the first four arguments of `Session.step`."""
 
     reference: Reference | None = None  # reference of the end-effector, or None
     pull: Array | None = None  # (3,) [m] target of a person at the end-effector, in the world
@@ -73,7 +73,7 @@ class Scenario(ABC):
         """The start of the run; raises a DbbError if the robot cannot start the scenario."""
 
     def adapted(self, config: Config) -> Config:
-        """`config` with the values that this scenario requires; also adapts changes in a run."""
+        """`config` with the values that this scenario requires, at the start or during a run."""
         return config
 
     @abstractmethod
@@ -81,7 +81,7 @@ class Scenario(ABC):
         """Make the driver for a session at its start; without a door, this raises no error."""
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with these `changes`, except None; an invalid one raises a ConfigError."""
+        """A copy with `changes`; None is no change. An invalid change raises a ConfigError."""
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
         if unknown := [name for name in given if name not in known]:

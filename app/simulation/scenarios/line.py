@@ -25,8 +25,8 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class LineScenario(Scenario):
-    """The end-effector moves on a straight line in the world, with a cubic profile, and stops. The
-    base starts at the origin and faces +x.
+    """The target of the end-effector moves on a straight line in the world, with a cubic profile.
+    The base starts at the origin and faces +x.
     """
 
     duration: float

@@ -204,10 +204,10 @@ class PostureSearch:
 
 class StartSolver(PostureSearch):
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
-    The end-effector points away from the arm's mount and, without a path, downwards if possible. An
-    arm that cannot choose this direction freely may use any direction if no such posture exists, or
-    none follows the whole path. Every pair is outside its buffer, the arm is above the floor, and
-    each joint is away from its position limits.
+    The end-effector points away from the arm's mount and, without a path, downwards if possible. If
+    no such posture exists or follows the whole path, an arm that cannot point everywhere may use
+    any direction. Every pair is outside its buffer, the arm is above the floor, and each joint is
+    away from its position limits.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -230,11 +230,11 @@ class StartSolver(PostureSearch):
     ) -> Array:
         """Find the best posture of the arm (n_m,) with the end-effector at `p_ee` (3,) [m] in the
         world. `along` has further positions (3,) [m], a path. From the best posture, the arm
-        follows most of them while the base is at rest and the orientation of the end-effector is
-        constant; of several such postures, the one with the largest margins is best. `turn` [rad]
-        is the horizontal angle, positive to the left, from the direction away from the mount to
-        that of the end-effector; `tries` is the number of starting points for each pitch. If the
-        search finds no posture, this raises an UnreachableError with the reasons.
+        follows the longest part of this path while the base is at rest and the orientation of the
+        end-effector is constant. `turn` [rad] is the horizontal angle, positive to the left, from
+        the direction away from the mount to that of the end-effector; `tries` is the number of
+        starting points for each direction. If the search finds no posture, this raises an
+        UnreachableError with the reasons.
         """
         target, start = np.array(p_ee, dtype=float), f"start {point_text(p_ee)}"
         if not (np.isfinite(target).all() and target[2] > 0.0):
@@ -418,7 +418,7 @@ class _GraspSearch(PostureSearch):
         return followed + room
 
     def _backed_off(self, angle: float) -> Array:
-        """(3,) initial base pose, moved back if the door's free edge is within d_b of its front."""
+        """(3,) initial base pose, moved back if the door's free edge is within d_b of the base."""
         door, (x, y, heading) = self._door, self._begin
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         forwards = np.array([np.cos(heading), np.sin(heading)])

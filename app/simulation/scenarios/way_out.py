@@ -83,8 +83,8 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 for a valid start, otherwise 0. Pair i must be the nearest, at a distance in the range
-    `depth` [m], the arm off the floor, and `above` the base (True), beside (False) or any (None).
+    """1 for a valid start, otherwise 0: pair i is the nearest, its distance is within `depth` [m],
+    and the arm is off the floor. With `above` True the arm is above the base, with False beside it.
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]

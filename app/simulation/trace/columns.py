@@ -128,7 +128,7 @@ class Quantity(NamedTuple):
     columns: Callable[[TraceMeta], Sequence[Column]]
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]  # conversion of a snapshot's value to cells
     value: Callable[[Sequence[Any], TraceMeta], Any]  # conversion of cells to a snapshot's value
-    take: Take | None = None  # computes the value; None if the caller of `make_snapshot` sets it
+    take: Take | None = None  # computes the value; None if `make_snapshot` or its caller sets it
     single: bool = False  # whether the quantity is one number or text
     paths: tuple[str, ...] = ()
     """Attributes of `Step`, such as `truth.q_m`, that are recorded at each control step. Without

@@ -34,7 +34,7 @@ class Figure(NamedTuple):
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """Compute all figures of a run; the key of a figure with a unit ends in the unit.
+    """Compute all figures of a run.
 
     A figure for which the trace has no data is None. Changes between control steps have data only
     if each step has a row. The figures of `DOOR` are included only if the run opened a door.

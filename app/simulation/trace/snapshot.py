@@ -248,11 +248,11 @@ _least_bound_once = direct(_least_bound)
 class Snapshot:
     """The whole simulation at one instant.
 
-    Fields with a declaration are quantities, with columns in a trace: `number` declares one that is
+    Fields with a declaration are quantities, with columns in a file: `number` declares one that is
     recorded at each control step (`force_bound`: at 50 Hz), `drawn` one that is recorded at
     snapshots. A declaration names the attribute of `Step` with the value, or computes the value
-    from the session s after the step and the step o; if it does neither, the caller of
-    `make_snapshot` sets it. Of the fields without a declaration, files store `physics` and `seed`.
+    from the session s after the step and the step o; if it does neither, `make_snapshot` or its
+    caller sets the value. Of the fields without a declaration, files store `physics` and `seed`.
     """
 
     t: Annotated[float, number("t_s", "t")]  # [s] simulated time since the last reset

@@ -134,7 +134,7 @@ class Trace:
 
     @property
     def finite(self) -> bool:
-        """Whether all torques and poses of the base are finite numbers."""
+        """Whether all torques, and all poses of the base, are finite numbers."""
         return bool(np.isfinite(self.of("u_a")).all() and np.isfinite(self.of("base_pose")).all())
 
     @property
@@ -313,8 +313,8 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
 def _off_target(model: RobotModel, step: Step) -> Stuck:
     """Where the end-effector is in a step with a reference, and why it is not at its target. With
-    "links too near", rows of T_sca for pairs within the arm, which precede the end-effector's task,
-    are active. With "border against end-effector", avoidance moves the base away from the target.
+    "links too near", rows of T_sca for pairs within the arm are active. With "border against
+    end-effector", avoidance by the base moves the end-effector away from its target.
     """
     state, n_b, q_m, reference = RobotState(model), model.n_b, step.truth.q_m, step.reference
     assert reference is not None
