@@ -77,8 +77,8 @@ def _rare_collections() -> Iterator[None]:
 
 
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
-    """Let compiled callers include the function instead of linking its machine code: otherwise
-    numba would compile the last function of a chain of ten calls ten times.
+    """Let compiled callers include the function as `_PartLowering` translates it: otherwise numba
+    would compile the function again for each direct and indirect caller.
     """
     part = as_part(kernel.py_func)
 

@@ -228,9 +228,9 @@ class TaskConfig(Strict):
     ee_weight: float = number(1e5, 1.0, 1e7, "End-effector weight", advanced=True)
     """[-] weight of the end-effector's task relative to the posture task."""
     slack_weight: float = number(1e-3, 1e-4, 0.1, "Softness ε", advanced=True)
-    """[-] ε, softness of a fully active row of T_sca: its compliance relative to that of the tasks
-    below. Joint limits and barriers have the softness ε². Limits of torques and of the base's
-    acceleration are hard."""
+    """[-] ε, softness of a fully active row of T_sca: the row's compliance, divided by that of the
+    tasks below T_sca. Joint limits and barriers have the softness ε². Limits of torques and of
+    the base's acceleration are hard."""
 
 
 class LimitConfig(Strict):
@@ -261,9 +261,9 @@ class EstimateConfig(Strict):
     noise_window: float = number(0.2, 0.01, 10.0, "Noise window", advanced=True)
     """[s] time window in which the noise of positions and velocities is estimated."""
     delay: float = number(0.0, 0.0, 0.03, "Known reading age", advanced=True)
-    """[s] known age of the readings at the start of a control step, or the part of it that their
-    time stamps do not show. More than 24 control periods count as 24. The controller also detects
-    and compensates a larger age, up to 24 periods or, with time stamps, 0.1 s."""
+    """[s] known age of the readings at the start of a control step; with time stamps, the part of
+    this age that the stamps do not show. More than 24 control periods count as 24. The controller
+    also detects and compensates a larger age, up to 24 periods or, with time stamps, 0.1 s."""
 
 
 class PayloadConfig(Strict):
@@ -335,8 +335,7 @@ class DisturbanceConfig(Strict):
     unknown_load: float = number(0.0, 0.0, 10.0, "Unknown load")
     """[kg] mass of a load at the end-effector that the controller does not include."""
     stated_period: float = number(1e-3, 5e-4, 8e-3, "Stated period", source="paper, §4.1: 1 kHz")
-    """[s] control period that the controller assumes during the whole run; the true period is
-    0.001 s."""
+    """[s] control period that the controller assumes at the start; the true period is 0.001 s."""
     time_stamps: Literal["no", "yes"] = Field(default="no", title="Time stamps")
     """[-] whether the controller gets a clock's time and the time stamps of the readings."""
     begins: float = number(0.0, 0.0, 60.0, "Begins")
@@ -390,7 +389,7 @@ class Config(Strict):
 def slowed(config: Config) -> Config:
     """A copy for the base's QPs, with time constants longer by the factor `task.base_time_scale`:
     those of the end-effector's task, the repulsion, the barrier and the limits of joint positions.
-    `limit.velocity_rate` becomes the new `limit.position_rate`.
+    `limit.velocity_rate` gets the same new value as `limit.position_rate`.
     """
     task, repulsion, barrier = config.task, config.repulsion, config.barrier
     s = task.base_time_scale
@@ -424,7 +423,7 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
 
 
 def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of `data[section][name]` with present names; a value under both is a ValueError."""
+    """A copy of `data[section][name]` with present names; ValueError if a parameter has two."""
     found = {name: dict(s) if isinstance(s, Mapping) else s for name, s in data.items()}
     for former, path in FORMER_NAMES.items():
         (old_section, old), (section, name) = former.split("."), path.split(".")

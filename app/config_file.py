@@ -105,7 +105,7 @@ def checked_name(name: str) -> str:
 
 
 def checked_host(name: str) -> str:
-    """The name of a host in the form that browsers send; raises a ConfigError for other texts."""
+    """A host's name, converted to the form that browsers send; ConfigError if it is invalid."""
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()
     except UnicodeError:  # a label is empty or too long

@@ -41,7 +41,7 @@ class DescriptionError(DbbError):
 
 
 class AssetError(DbbError):
-    """A URDF, mesh or package of a robot is missing, or a mesh or URDF cannot be loaded."""
+    """A URDF, mesh, package or report of a robot is missing or cannot be loaded."""
 
 
 class RobotFileError(DbbError):
@@ -62,7 +62,7 @@ def named_part(where: str) -> Iterator[None]:
 
 
 class UnreachableError(DbbError):
-    """No posture of the arm brings the end-effector to the specified start."""
+    """A scenario has no start, or no posture of the arm reaches it."""
 
     def __init__(self, message: str, flaws: Mapping[str, int] | None = None) -> None:
         super().__init__(message)
@@ -86,11 +86,11 @@ class LogError(DbbError):
 
 
 class CaseError(DbbError):
-    """A case cannot be read, is invalid, or belongs to another robot."""
+    """A case is missing, cannot be read or is invalid."""
 
 
 class StudyError(DbbError):
-    """A study cannot be started or continued in the specified folder."""
+    """A study cannot be started or continued."""
 
 
 class MissingExtraError(DbbError):
@@ -106,7 +106,7 @@ class BrowserError(DbbError):
 
 
 class LoopError(DbbError):
-    """The simulation or a child process ended or failed, or the queue of its commands is full."""
+    """The simulation or a child process ended or failed, or too many commands wait."""
 
 
 EXTRAS = {

@@ -20,9 +20,9 @@ _COMPILING = "compiled.py", "kernel_memory.ll", "structs.py"
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of each file on which a compiled kernel depends: its file, those of the
-    compiled functions that it calls by name, and those that compile kernels and lay out structs.
-    A kernel's constants must be in one of these files. An unreadable file raises an OSError.
+    """Name and digest of each file on which a compiled kernel depends: the kernel's file, the files
+    of the compiled functions that it calls by name, and those in `_COMPILING`. A kernel's constants
+    must be in one of these files. An unreadable file raises an OSError.
     """
     files = {Path(__file__).with_name(name) for name in _COMPILING}
     known, called = set[FunctionType](), [function]

@@ -44,7 +44,7 @@ class Strict(BaseModel):
 
 
 def field_docs(cls: type) -> Iterator[tuple[str, str]]:
-    """Name and docstring, as one line, of each documented field that a dataclass itself adds."""
+    """Name and docstring, as one line, of each documented field that is defined in a dataclass."""
     if "__dataclass_fields__" not in vars(cls):
         return
     body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
@@ -138,8 +138,8 @@ def _cut(text: str) -> str:
 
 
 def _followed(model: type[BaseModel], loc: Place) -> tuple[list[type[BaseModel]], Place]:
-    """The records that can have the last part of `loc` as a field; and `loc` without the values of
-    `kind`, which pydantic adds for a union.
+    """First, the records to which the last part of `loc` can belong as a field. Second, `loc`
+    without the values of `kind`, which pydantic inserts for a union.
     """
     found, records, place = [model], [model], list[int | str]()
     for part in loc:
@@ -181,7 +181,7 @@ def file_text(path: Path) -> str:
 
 
 def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
-    """Parse an untrusted text by `loads` (TOML or JSON); `within_budget` if it is long or `heavy`.
+    """Parse an untrusted text by `loads` (TOML or JSON); a long or `heavy` one `within_budget`.
 
     A ValueError means that the text is invalid, too deeply nested or longer than a million
     characters, or that parsing exceeds the budget.
@@ -232,7 +232,7 @@ _PLACEHOLDERS = (
 
 
 def placeholder(content: bytes) -> str:
-    """The placeholder in a file's place, with advice, by its first 1024 bytes; empty if none."""
+    """Description, with advice, of a content that is no proper file (`_PLACEHOLDERS`); or empty."""
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
     return next(found, "")
@@ -242,7 +242,7 @@ def text_of(content: bytes) -> str:
     """Decode a user's file, UTF-8 or UTF-16 with a byte order mark; line ends become line feeds.
 
     A ValueError means that the file has a different encoding (the message names the line), or that
-    the content is a `placeholder` and not empty.
+    it is a `placeholder` other than an empty file.
     """
     if content.strip() and (name := placeholder(content)):
         raise ValueError(f"in the place of the file is {name}")

@@ -45,8 +45,8 @@ def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
     On three or more cores, the process also gets a real-time policy if possible. After work of
-    0.5 s without a pause, it leaves this policy; if that fails, the system ends it after 30 s. Call
-    this function in the main thread, before other threads start.
+    0.5 s without a pause, the process leaves this policy; if that fails, the system ends the
+    process after 30 s. Call this function in the main thread, before other threads start.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -96,7 +96,7 @@ ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP  # by a user, a supervisor
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Block Ctrl-C in this thread during the `with`; a process that starts then keeps the block."""
+    """Block Ctrl-C in this thread during the `with`; processes started in it inherit the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -196,8 +196,8 @@ def _claimed(folder: Path) -> int:
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The descriptor that locks a folder; None if another process or user has or has replaced it.
-    In a file system without locks, the descriptor locks nothing; with `surely` it is None.
+    """The descriptor that locks a folder; None if another user owns the folder, or another process
+    has locked or replaced it. Without locks in the file system: a descriptor, or None if `surely`.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -230,8 +230,8 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """Resolve the links of a path; raises an OutputError if it has more than 40 links or another
-    user's link in a shared folder, or is relative to a working folder that has been removed.
+    """Resolve the links of a path; raises an OutputError for more than 40 links, for a link in a
+    shared folder by neither this user nor the folder's owner, or if the working folder is gone.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -342,8 +342,8 @@ def home_expanded(path: str) -> Path:
 
 
 def cache_folders(*, make: bool = True) -> Iterator[Path]:
-    """This user's cache folders: the standard one, unless the user has no home; then one in the
-    folder for temporary files, unless it cannot be used. With `make`, the latter is created.
+    """This user's cache folders: first the standard one, if the user has a home; second, if it is
+    usable, one in the folder for temporary files. With `make`, the second one is created.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
@@ -386,7 +386,7 @@ def open_standard_files() -> None:
 
 
 def set_missing_folders() -> None:
-    """Set TMPDIR if no temporary folder is writable, and HOME (for browsers) without a home."""
+    """Set TMPDIR if no temporary folder is writable, and HOME (for browsers) if there is none."""
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
     try:

@@ -64,9 +64,11 @@ from app.dashboard.scene.robot import (
     GREY,
     MAX_FACES,
     LinkPoses,
+    RobotParts,
     for_display,
     load_visuals,
 )
+from app.dashboard.scene.scene import RobotScene
 from app.dashboard.server import FRAME, TEXTS_EVERY, check_address, serve_dashboard
 from app.dashboard.shared import SharedState
 from app.dashboard.verdict import COLOURS, judge
@@ -77,7 +79,7 @@ from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
 from app.robot.state import Measurement, RobotState
 from app.simulation.loop.commands import Compare, Pause, Play, Pull, Release, Reset, Restart
 from app.simulation.people import PullReading, held_point
-from app.simulation.trace.snapshot import PairReading, Refusal, Score
+from app.simulation.trace.snapshot import GhostReading, PairReading, Refusal, Score
 from app.simulation.trace.trace import Trace
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
@@ -712,6 +714,32 @@ def scene():
 @pytest.fixture(scope="module")
 def borders(clouds):
     return Borders(husky_panda(), clouds)
+
+
+def test_a_ghost_shows_the_links_that_are_apart_from_the_robot(scene, monkeypatch):
+    frames, add_frame, model = {}, scene.add_frame, husky_panda()
+
+    def recorded(name, **options):
+        frames[name] = add_frame(name, **options)
+        return frames[name]
+
+    monkeypatch.setattr(scene, "add_frame", recorded)
+    parts, q_m = RobotParts(model), np.array(model.description.arm.ready_position)
+    robot, ghost = (RobotScene(scene, parts, ghost, light=True) for ghost in (None, 0))
+
+    def visible(turn, roll):
+        still = GhostReading("dbb", np.zeros(3), q_m, np.zeros(2), np.zeros(3), 1.0)
+        robot.update(still)
+        ghost.update(still._replace(q_m=q_m + turn, wheel_angles=np.full(2, roll)))
+        ghost.hide_links_near(robot)
+        shown = {name for name in frames if name.startswith("/ghost_0/") and frames[name].visible}
+        return {name.removeprefix("/ghost_0/") for name in shown}
+
+    assert not visible(0.0, 1.0)  # turned wheels look alike
+    arm = [f"panda_joint{k}" for k in range(1, 8)]
+    for k in range(6):  # joints 1 and 2 have a common origin: only their rotation differs
+        assert set(arm[k:]) <= visible(0.1 * np.eye(7)[k], 0.0)
+        assert not set(arm[:k]) & visible(0.1 * np.eye(7)[k], 0.0)
 
 
 def view_of(**quantities):

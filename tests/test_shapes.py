@@ -53,7 +53,7 @@ def test_hull_with_volume_keeps_its_corners() -> None:
 
 
 def test_hulls_with_more_neighbours_than_coal_allows_are_simplified() -> None:
-    """In coal a corner may have at most 255 neighbours."""
+    """In coal a corner may have at most 254 neighbours."""
     t = np.linspace(0.0, 2 * np.pi, 1000, endpoint=False)
     rim = 0.1 * np.column_stack([np.cos(t), np.sin(t), np.zeros_like(t)])
     for points, volume in (

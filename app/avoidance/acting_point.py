@@ -38,8 +38,8 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
     """α = S_0 d / (|S(p_n)| + S_0/2) [m], within its bounds; S_0 [m⁴/rad⁴] is `gain`.
 
     For a large |S|, α is proportional to d/|S|. Near the wheel axis, where S vanishes, d/|S| would
-    jump from one bound to the other within millimetres. There the formula above approaches 2 d,
-    which is enough for the force to turn the base, and changes smoothly. A d below 0 counts as 0.
+    jump from one bound to the other within millimetres. There the formula above changes smoothly
+    and approaches 2 d, which is enough for the force to turn the base. A d below 0 counts as 0.
 
     Paper: Eq. (13). The bounds `alpha_min` and `alpha_max` [m] are those of Figure 8b: after a step
     that is too large, the force has no component along the line between the end-effector and the

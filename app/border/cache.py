@@ -46,7 +46,7 @@ _FAULTS = OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, Runti
 
 
 class DamagedFileError(Exception):
-    """A file cannot be read, its content is invalid, or its key is not the one in its name."""
+    """A file cannot be read, its content is invalid, or its key is not the expected one."""
 
 
 @dataclass(frozen=True)

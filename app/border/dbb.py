@@ -1,4 +1,4 @@
-"""Algorithm 1: P_i, closest points sampled around the mobile base l_m, and its subset DBB_i."""
+"""Algorithm 1: P_i, sampled points around the mobile base l_m, and DBB_i, a subset of P_i."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
 The distances are those of the collision library. For boxes and round shapes, these compiled
-functions are fifty times faster.
+functions are fifty times faster than the library.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class MobileBody:
 
 
 def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array, Array]:
-    """The lowest and the highest corner (3,) [m] of the axis-aligned box around a placed shape."""
+    """The lowest and the highest corner (3,) [m] of an axis-aligned box around a placed shape."""
     geometry.computeLocalAABB()
     centre = placement.act(geometry.aabb_center)
     box = geometry.aabb_local
@@ -160,7 +160,7 @@ _Signed = tuple[float, float, float, float]  # a signed distance [m], and its gr
 
 @compiled()
 def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Signed distance of (x, y, z) [m] to a hull; inside the hull, that to the nearest plane."""
+    """Signed distance [m] of (x, y, z) [m] to a hull (inside: to the nearest plane), gradient."""
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
         over = _over(triangles[k], x, y, z)
@@ -190,7 +190,7 @@ def _hull_distance(triangles: Array, x: float, y: float, z: float) -> _Signed:
 
 @compiled()
 def _distance(kind: int, size: Array, triangles: Array, x: float, y: float, z: float) -> _Signed:
-    """Signed distance of (x, y, z) [m] to a shape, in the shape's frame."""
+    """Signed distance [m] of (x, y, z) [m] to a shape, and its gradient, in the shape's frame."""
     if kind == _CAPSULE:
         z_out = z - min(max(z, -size[1]), size[1])
         far = math.sqrt(x * x + y * y + z_out * z_out)

@@ -61,13 +61,13 @@ class OffsetContours(NamedTuple):
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """Curves (K, 3) [m] of the contour at z [m]; if there is none, of the nearest one, at z."""
+        """Curves (K, 3) [m] of the contour at z [m]; else of the nearest in height, moved to z."""
         at = level(self.firsts, self.heights, z)
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
 
 
 def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The visible pieces (K, 2) [m] of a ring of vertices with their `shown`, at one height."""
+    """The visible pieces (K, 2) [m] of a ring of vertices with the distances `shown`."""
     if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
     turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex

@@ -80,8 +80,8 @@ def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
 
 
 def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
-    """Trace a convex shape's offset, at the distance d_b [m] from the shape, above the floor. Rays
-    start at the shape's centre or, if a slice does not contain it, at the centre of each slice.
+    """Trace the offset of a convex shape by d_b [m], above the floor. All rays start at the shape's
+    centre or, if a slice does not contain this centre, those of each slice at the slice's centre.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b).tolist()
@@ -96,8 +96,8 @@ def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
 class _Tracer:
     """Follows rays to the boundary of one shape's offset at some heights [m].
 
-    For each height with a slice of the offset, the result has the height, the start (2,) [m] of the
-    rays and their lengths (RAYS,) [m].
+    For each height with a slice of the offset, the results of `from_middle` and `from_slices` have
+    the height, the start (2,) [m] of the rays and their lengths (RAYS,) [m].
     """
 
     def __init__(self, part: ConvexPart, d_b: float) -> None:
@@ -130,7 +130,7 @@ class _Tracer:
         return found
 
     def _inside(self, centre: Array, z: float) -> Array | None:
-        """A point (2,) [m] inside the convex slice at height z [m]; None if it is empty."""
+        """A point (2,) [m] inside the convex slice at height z [m]; None if the slice is empty."""
         d, n_x, n_y, _ = self._part.shapes.distances_and_normals(np.array([[*centre, z]]))[0]
         for start in (centre, centre - d * np.array([n_x, n_y]), self._middle):
             ends = self._ends(start, z)
@@ -169,8 +169,8 @@ class _Tracer:
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
-    """(H,) [m] the heights at which a shape's offset is traced: beside the shape, along the arc
-    above it and, if it is high above the floor, along the arc below it; at most 10 mm apart there.
+    """(H,) [m] heights of the traced slices of an offset, at most 10 mm apart: from the floor
+    to the arc above the shape; for a shape high above the floor, from the arc below the shape.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

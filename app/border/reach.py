@@ -64,7 +64,7 @@ class Chain:
         self.free = len(joints) - self.coordinates
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
-        """The body's pose T_base_point at q (k,), and its Jacobian (6, k) in axes of the body."""
+        """The body's pose T_base_point at q (k,), and its Jacobian (6, k) in the point's axes."""
         J = pin.computeJointJacobians(self.pin, self._data, q)
         at = self._data.oMi[len(self.joints)] * self._placement
         return at, at.inverse().action @ J
@@ -100,7 +100,7 @@ def _moving_joints(model: RobotModel, body: str) -> list[int]:
 
 
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
-    """Pinocchio's index of the last joint before a body's point, and the point's frame in it."""
+    """Pinocchio's index of the last joint before a body's point, and T_joint_point."""
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]
         return frame.parentJoint, frame.placement

@@ -110,8 +110,8 @@ def _flood_jobs(
     found: Mapping[Pair, Kept],
     kept: Mapping[Pair, Kept],
 ) -> list[SectorJob]:
-    """A job for each sector and pair with an open voxel at or next to a posture of `found`. After
-    the first flood, only postures of other sectors count. `kept` are results of previous floods.
+    """A job for each pair and sector with an open voxel at or next to a point of `found`. After the
+    first flood, only points in other sectors count. `kept` has the results of previous floods.
     """
     jobs = []
     for pair, seed in seeds.items():
@@ -238,10 +238,10 @@ class _Flood:
         self._scale = np.minimum(travel, 2 * np.pi) / (2 * np.pi)
 
     def run(self, sources: Array) -> Witnesses:
-        """Flood the open voxels from postures (N, n_m): one posture for each voxel that is reached.
+        """Flood the open voxels from postures (N, n_m); return one posture for each filled voxel.
 
-        For each open voxel next to a batch of postures, up to `retries` + 1 times, one posture of
-        the batch makes a step into the voxel.
+        Up to `retries` + 1 times for each batch of postures, one posture of the batch makes a step
+        into each open voxel next to the batch.
         """
         found = self._reader.witnesses(sources)
         accepted = [self._accepted(found)]
@@ -257,7 +257,7 @@ class _Flood:
         return _joined(accepted)
 
     def _accepted(self, found: Witnesses) -> Witnesses:
-        """Select one posture in range for each open voxel that has some, and close the voxel."""
+        """For each open voxel with postures in range, select one of them and close the voxel."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(found.p_b)))
         fits = (keys >= 0) & (found.d > self._low) & (found.d < self._high)
         candidates = np.flatnonzero(fits & self._open[keys])
@@ -305,7 +305,7 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
 
 
 def _take(queue: list[Witnesses]) -> Witnesses:
-    """Remove postures from the end of a queue: at least a batch, or all if there are fewer."""
+    """Remove and return the last postures of a queue: at least a batch, or all if too few."""
     taken, count = [], 0
     while queue and count < _BATCH:
         taken.append(queue.pop())
@@ -328,7 +328,7 @@ AROUND = np.array(
 
 class Voxels:
     """A grid of voxels in the base's frame, above the floor and around a box that encloses l_m.
-    Points are int16 in units of 0.1 mm, for the same voxels on all machines.
+    Points are int16 in units of 0.1 mm, so that all machines have the same voxels.
     """
 
     def __init__(

@@ -118,8 +118,8 @@ class RadialProfile:
     count: Array  # (K,) number of values in each shell
 
     def peak(self) -> int:
-        """Index of the shell with the largest mean, of those with at least 20 values or, if there
-        is none, of those with the most values; a ValueError if all shells are empty.
+        """Index of the shell with the largest mean. Only shells with at least 20 values count or,
+        if there are none, those with the most values. A ValueError if all shells are empty.
         """
         if not self.count.any():
             raise ValueError("there are no values")
@@ -172,9 +172,9 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Fit (9) by least squares to positions at distances rho (N,) [m] from the arm's mount.
 
     `reach` (N,) [-] is the reachability of each position. The fit uses the positions in the best
-    shell, and in the shells on both sides of it up to the first one, which is left out, whose mean
-    is below `share` [-] of the best mean. Raises a ValueError if these positions have fewer than
-    four different distances, or if the parabola has no maximum at a positive distance.
+    shell and, on both sides of it, in all shells before the first one with a mean below `share` [-]
+    of the best mean. Raises a ValueError if these positions have fewer than four different
+    distances, or if the parabola has no maximum at a positive distance.
 
     Paper: Eq. (9).
     """
@@ -207,6 +207,6 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
 
 
 def _explained(y: Array, left: Array, weight: Array | None = None) -> float:
-    """[-] R²: share of the variance of y that the residuals `left` lack; 1 for a constant y."""
+    """[-] R²: 1 − mean square of the residuals `left` / variance of y; 1 for a constant y."""
     total = np.average((y - np.average(y, weights=weight)) ** 2, weights=weight)
     return float(1 - np.average(left**2, weights=weight) / total) if total > 0 else 1.0

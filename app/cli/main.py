@@ -54,7 +54,7 @@ def console() -> NoReturn:
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run a command line, by default `sys.argv[1:]`; exit after an error, except after a defect."""
+    """Run a command line, by default `sys.argv[1:]`; an error exits, a defect raises."""
     open_standard_files()
     set_missing_folders()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's backend needs a library of the notebook

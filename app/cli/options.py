@@ -204,7 +204,7 @@ def configured(
 
 
 def read(file: Path | None, usual: Config | None = None) -> NamedConfig:
-    """Read the file of `--config`, if any; all other parameters are those of `usual` or default."""
+    """Read the file of `--config`, if any; other parameters are as in `usual`, or the defaults."""
     try:
         return read_config(file, usual) if file else NamedConfig("", usual or Config())
     except ConfigError as error:
@@ -240,9 +240,9 @@ def check_processes(processes: int | None) -> int:
 def in_order(words: Iterable[str]) -> list[str]:
     """The words of a command line with the present names of options, and one merged `--allow-host`.
 
-    The home folder replaces `~` at the start of a value, because a shell leaves `--out=~/a`; the
-    values of `_TEXTS` are unchanged. If another option than `--allow-host` appears several times,
-    this raises a ConfigError: only the last would count.
+    The home folder replaces `~` at the start of a value (a shell does not replace it in
+    `--out=~/a`), except in the values of `_TEXTS`. If another option than `--allow-host` appears
+    several times, this raises a ConfigError.
     """
     before: list[str] = []
     groups: dict[str, list[list[str]]] = {}  # each option with its values

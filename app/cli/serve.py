@@ -103,8 +103,8 @@ class _First(NamedTuple):
         waiting: Child | None = None,
     ) -> ProcessLoop:
         """Begin the first robot's simulation in the process `waiting`, or another robot's in a new
-        process. If the first robot has a case or --start, these determine its start; otherwise, the
-        start is `free_start`.
+        process (`waiting` is None). The case or --start determines the first robot's start; without
+        them, and for another robot, the start is that of `free_start`.
         """
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
@@ -166,8 +166,8 @@ def _opened(first: _First) -> DashboardServer:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The stored border; else a stored coarse border, which a background process refines for the
-    next start; else a newly sampled border.
+    """The stored border. Without it: the stored coarse border, which a background process refines
+    for the next start. Without both: a newly sampled border.
     """
     from app.border.cache import kept_border_data, load_border_data
     from app.border.sampling import QUICK

@@ -46,7 +46,7 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
     `read` must be a function of a module; its arguments and its result must be picklable. Data up
-    to `SMALL` have no budget, and a call within `read` has none of its own. If `read` exceeds the
+    to `SMALL` have no budget; a call in the child process has no further one. If `read` exceeds the
     budget or crashes its process, this raises a BudgetError. Exceptions of `read` are raised here.
     """
     if size <= SMALL or _limited.is_set():

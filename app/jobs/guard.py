@@ -1,11 +1,11 @@
-"""A guard: a process that kills another process if the other process does not end in time.
+"""A guard: a process that kills the watched process PID if this does not end in time.
 
-A library that hangs and holds Python's lock cannot stop the guard. Its command is `python guard.py
-HEARD LIVES PID PATIENCE [NUMBER ...]`. HEARD is the descriptor of a file that announces the end of
-the process: by its own end, or by a byte that is one of the NUMBERs of signals. The guard copies
-the bytes up to this announcement to standard output. LIVES is the descriptor of a pipe that is open
-while the process lives. A negative PID means the process group −PID. PATIENCE [s] is the time
-between the announcement and the kill.
+The guard works even if a library hangs and holds Python's lock. The guard's command is `python
+guard.py HEARD LIVES PID PATIENCE [NUMBER ...]`. HEARD is the descriptor of a file. The end of this
+file, or a byte that is one of the NUMBERs of signals, announces the end of the watched process. The
+guard copies the bytes up to and including the announcement to standard output. LIVES is the
+descriptor of a pipe that is open while the watched process lives. A negative PID means the process
+group −PID. PATIENCE [s] is the time between the announcement and the kill.
 """
 
 import ctypes

@@ -84,7 +84,7 @@ class Child(AbstractContextManager["Child"]):
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End the process, and its children with `leads_group`; `at_once` omits their clean-up."""
+        """End the process and, with `leads_group`, its children; `at_once` omits the clean-up."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:

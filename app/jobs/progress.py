@@ -45,10 +45,10 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """A function that takes the finished share of a part of some work.
+    """A function that takes the finished share of a part of some work, 0 to 1.
 
-    `on_progress` then gets the finished share of the whole work. In these shares, the part begins
-    at `begin` and ends at `end`.
+    It calls `on_progress` with the finished share of the whole work: `begin` at the start of the
+    part, `end` at its end.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 
@@ -127,7 +127,7 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 @contextmanager
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
-    """End the process 2 to 3 s after one of the signals `numbers`, without the main thread."""
+    """End the process 2 to 3 s after a signal of `numbers`, or after 8 s if no thread can run."""
     # Python's own handlers wait until compiled code of the main thread has returned, and their
     # exceptions can be lost there. Therefore the system writes the number of each signal to a pipe.
     # The guard passes these numbers on to a thread, which ends this process; if the guard is

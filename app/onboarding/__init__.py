@@ -16,8 +16,8 @@ SIDES = ("guiding-lateral", "guiding-front")
 def helpers(processes: int | None = None) -> Workers:
     """Worker processes for `app.onboarding.new_robot.finish`; each first imports `new_robot`.
 
-    Their number is `processes` (default: the number of usable cores), but at most the number of
-    `SIDES`. If this number is 1, the calling process does the work.
+    Their number is `processes` (default: the number of usable cores), but at most two, one for each
+    of the `SIDES`. If the number is 1, the calling process does the work instead.
     """
     prepare = partial(import_module, "app.onboarding.new_robot")
     return Workers(prepare, min(processes or usable_cores(), len(SIDES)))

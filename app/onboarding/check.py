@@ -192,8 +192,8 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Warn of nested links that touch in no random posture, or that touch in fewer than 25 % of
-    them and overlap by more than 3 mm in one.
+    """Warn of nested links that touch in no random posture, or that overlap by more than 3 mm, but
+    touch in fewer than 25 % of the random postures.
     """
     by_body = units_of_links(model, _geometry(model))
     shapes = link_shapes([unit for units in by_body.values() for unit in units])
@@ -218,7 +218,7 @@ def nested_row(model: RobotModel) -> Row:
 
 
 def base_row(model: RobotModel) -> Row:
-    """Check that hulls of the base's links, above the floor, extend beyond l_m by at most 1 cm."""
+    """Check that, above the floor, hulls of the base's links extend beyond l_m by at most 1 cm."""
     unit = units_of_links(model, _geometry(model))[model.body_names[0]]
     points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
     points = points[points[:, 2] > 0.0]

@@ -312,7 +312,7 @@ def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach
     """The names of all bodies that can form a pair with l_m, with their coefficients of (9).
 
     `workers` start at once, before the results are read. Coefficients are those of `best_fit`, or
-    assumed if `best_fit` raises an error, or if fewer than three joints move the body.
+    assumed if fewer than three joints move the body, or if its map or `best_fit` fails.
     """
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == model.body_names[0]]
     found = workers.map(_reach_of, [(model, body) for body in bodies])

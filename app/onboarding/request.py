@@ -135,7 +135,7 @@ _FARTHEST = 10.0  # [m] or [rad] largest coordinate of a position or rotation
 
 
 def option(field: str) -> str:
-    """The option of `dbb new-robot` that sets a field of `Request` other than `urdf` and `d_b`."""
+    """The option of `dbb new-robot` for any field of `Request` but `urdf`, `d_b` and `source`."""
     return "--" + field.replace("_", "-")
 
 

@@ -340,8 +340,8 @@ def description(
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
-    joints' ranges. Without `bodies`, the bodies are small spheres. Kinematics and dynamics need
-    neither of the two. `unwatched` has the reasons for the pairs that are not monitored, by name.
+    joints' ranges. Without `bodies`, the bodies are small spheres. `unwatched` has the reasons for
+    the pairs that are not monitored, by name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)
@@ -386,5 +386,5 @@ def _body(body: FittedBody) -> dict[str, Any]:
 
 
 def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
-    """The model of a description and a URDF; invalid descriptions raise a `DescriptionError`."""
+    """Model of a description and a URDF; raises a ValidationError or an error of `RobotModel`."""
     return RobotModel(RobotDescription.model_validate({**content, "urdf": str(urdf)}))

@@ -81,7 +81,7 @@ def robot_names() -> list[str]:
 
 
 def check_robot_name(name: str) -> None:
-    """Raise an UnknownNameError if a robot does not exist; its text ends with `wrong_folders`."""
+    """Raise an UnknownNameError, which ends with `wrong_folders`, if a robot does not exist."""
     try:
         check_name("robot", name, robot_names())
     except UnknownNameError as error:
@@ -211,7 +211,7 @@ _ZERO_INERTIAL = (
 
 def resolved_urdf(description: HasUrdf) -> str:
     """The robot's URDF (`read_urdf`) with the absolute path of each mesh. Also raises an AssetError
-    if a mesh is missing or its relative path leaves the folder; a RobotFileError if it is damaged.
+    for a missing mesh or a relative path out of the folder, a RobotFileError for a damaged mesh.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):

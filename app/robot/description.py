@@ -233,7 +233,7 @@ def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
 
 
 def load_robot(name: str) -> RobotDescription:
-    """The description of a robot by the name of its folder, which replaces the `name` in the file.
+    """The description of a robot by its folder's name, which replaces the `name` in the file.
 
     Errors: those of `check_robot_name` and `load_description`.
     """

@@ -217,7 +217,7 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
 
 
 def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
-    """A decorator for functions of a model; for each model, it caches the `most` latest results.
+    """A decorator for functions of a model; it caches the `most` last used results of each model.
 
     Callers share a result and must not change it. The other arguments must be hashable. A result
     must not refer to the model: otherwise neither of the two would ever be freed.

@@ -176,7 +176,7 @@ _THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def _thick(points: Array) -> Array:
-    """Points (N, 3) [m]; if thinner than 0.1 mm along a principal axis, two copies 0.1 mm apart."""
+    """Points (N, 3) [m]; along each principal axis thinner than 0.1 mm, two copies 0.1 mm apart."""
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
         if np.ptp(points @ axis) < _THIN:
@@ -187,7 +187,7 @@ def _thick(points: Array) -> Array:
 def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
     """The convex hull of points (N, 3) [m]; 0.1 mm thick if they are in a plane or on a line.
 
-    coal refuses corners with more than 255 neighbours, such as those of a finely drawn disc. Then
+    coal refuses corners with 255 or more neighbours, such as those of a finely drawn disc. Then
     the points are rounded to `grid` [m], which is doubled until coal accepts them.
     """
     points = _thick(np.asarray(points, dtype=float))  # without a volume, coal ends the process

@@ -351,7 +351,7 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
 
 
 def _before(vector: Array, count: int, size: int) -> Array:
-    """(count,) view of the number before `vector` and before each next vector, `size` bytes on."""
+    """(count,) view of the number before each vector: `vector`, then one every `size` bytes."""
     return as_strided(vector, (count, 2), (size, -8))[:, 1]
 
 
@@ -460,7 +460,7 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """Copy the arrays into those of a control step; later updates write into the step."""
+        """Copy the arrays into those of a control step; then both have the same arrays."""
         for name in RobotState.__annotations__:
             present, shared = getattr(self, name), getattr(step, name)
             shared[...] = present

@@ -96,7 +96,7 @@ def mesh_path(address: str) -> Path:
 
 def mesh_bytes(links: Iterable[Element]) -> int:
     """[bytes] size of the mesh files of links, with the `.bin` files beside a `.gltf`; 0 without a
-    file, else above `SMALL`, as few bytes can encode many triangles. Errors: those of `mesh_path`.
+    file, otherwise above `SMALL`: few bytes can encode many triangles. Errors: as `mesh_path`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}

@@ -94,10 +94,10 @@ class PersonHand:
     """A person's hand during one hold of a point of the robot, at p_ee with velocity v_ee.
     A hand without a mass exerts F = K (p - p_ee) - D v_ee on the held point, limited to f_max. p,
     the free end of the hand's spring, starts at p_ee and moves towards the latest target as a
-    critically damped point with limited speed, so a new target causes no step of F. If the hand has
-    a mass, a similar force moves the mass (`_push_mass`), and the robot receives the force of the
-    grip, a spring and a damper between mass and robot. While the robot stops the mass, the grip's
-    force can exceed f_max. While p rests, the hand is passive.
+    critically damped point with limited speed. Thus, a new target causes no step of F. A similar
+    force moves the mass of a hand (`_push_mass`). The robot then receives the force of the grip, a
+    spring and a damper between mass and robot. While the robot stops the mass, the grip's force can
+    exceed f_max. While p rests, the hand is passive.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:

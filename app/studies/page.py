@@ -76,7 +76,7 @@ def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
 
 
 def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
-    """The tables of `measured`, if any: its single values; its mappings, with a column for each."""
+    """Up to two tables of `measured`: its single values, and its mappings in a column each."""
     single = {k: v for k, v in measured.items() if not isinstance(v, Mapping)}
     cases = {k: flattened(v) for k, v in measured.items() if isinstance(v, Mapping)}
     keys = dict.fromkeys(key for case in cases.values() for key in case)

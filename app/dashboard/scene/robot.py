@@ -57,6 +57,8 @@ class LinkPoses:
     def __init__(self, robot: RobotModel) -> None:
         self.model = pin.buildModelFromXML(bare_urdf(robot.description))
         self._data, self._robot = self.model.createData(), robot
+        wheels = (name for wheel in robot.description.base.wheels for name in wheel.joints)
+        self.wheels = {self.model.getJointId(name) for name in wheels}
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """Return T_root_joint of all joints at q_m (n_m,) [rad or m], wheel angles (n_w,) [rad]."""

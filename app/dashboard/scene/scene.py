@@ -73,7 +73,8 @@ class RobotScene:
         """Hide each link that nearly coincides with the same link of `other`; show all others."""
         for joint, frame in self._frames.items():
             apart = other.world_pose(joint).actInv(self.world_pose(joint))
-            turned = np.abs(pin.log3(apart.rotation)).max() if joint == 0 else 0.0  # not wheels
+            rolls = joint in self._parts.kinematics.wheels
+            turned = 0.0 if rolls else np.abs(pin.log3(apart.rotation)).max()
             frame.visible = bool(max(np.abs(apart.translation).max(), turned) > layers.SAME)
 
     def world_pose(self, joint: int) -> pin.SE3:

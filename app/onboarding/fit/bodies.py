@@ -41,9 +41,9 @@ class FittedBody(NamedTuple):
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
-    It has one to four boxes or polytopes, with the smallest cost: 0.03 for a box, 0.06 for a
-    polytope, and the mean number of units of the arm that it touches. Units close to it by design
-    do not count. The mean is over random postures without a contact of links, or else over all.
+    It has one to four boxes, or one to four polytopes, with the smallest cost: 0.03 for each box,
+    0.06 for each polytope, and the mean number of the arm's units that touch l_m. Units close to it
+    by design do not count. The mean is over random postures without contact, or else over all.
     """
     units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -185,9 +185,9 @@ _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to 
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, PointHull]:
-    """By joint: a hull, in the joint's frame, around the chain's points at all joint positions.
+    """For each joint: a hull, in the joint's frame, around all points at all joint positions.
 
-    `points` has the points (N, 3) [m] on each joint, in its frame; joint numbers are consecutive.
+    `points` has, by joint, points (N, 3) [m] in the joint's frame; the numbers are consecutive.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}

@@ -64,7 +64,7 @@ def lean_corners(points: Array) -> Array:
 
     The polytope has a face for each of 642 directions, evenly spread after scaling the points to
     equal widths along their principal axes. It exceeds a round hull by about 0.2 % of the hull's
-    extent, and by up to 2 % at edges.
+    extent, and by more at edges.
     """
     corners, D = hull(points).corners, directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many

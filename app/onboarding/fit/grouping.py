@@ -259,8 +259,8 @@ def detection_of(
 ) -> Detection:
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
-    Contacts of units that are `neighbours`, or that `Meetings.close` has for the buffer distance
-    d_b [m], do not count, but those of pairs in `Meetings.apart` do. `workers` share the work.
+    Contacts of `neighbours`, and of the pairs in `Meetings.close` for the buffer distance d_b [m],
+    do not count; contacts of the pairs in `Meetings.apart` count. `workers` share the work.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -313,7 +313,7 @@ def detection_of(
 
 
 def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[tuple[int, int]]:
-    """Pairs of units of monitored bodies, without nested links: plants count their contacts."""
+    """Pairs of units, without nested links, whose bodies are a monitored pair."""
     nested = model.description.nested
     return [
         (u.index, v.index)
@@ -355,8 +355,8 @@ def _left_out(
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
-    """The largest interval of one of the `joints` without a posture of q_m (N, n_m), as text; empty
-    if it is below `LEAST` of the joint's range (at most a turn), or if N < `_FEWEST_CONTACTS`.
+    """Interval without a posture of q_m (N, n_m) that is the largest share of the range (or of a
+    turn) of one of the `joints`, as text; empty below `LEAST`, or if N < `_FEWEST_CONTACTS`.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():

@@ -99,7 +99,7 @@ class Meetings:
         return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
 
     def monitored_from(self, pair: tuple[int, int]) -> float:
-        """Largest d_b [m] below two units' distance in 60 % of the free postures; 0 if invalid."""
+        """Largest d_b [m] that the distance exceeds in 60 % of the free postures; 0 if invalid."""
         # The share 1 − `ALWAYS` would be sufficient for the links, but their bodies are larger.
         distances = self.random.distances
         gaps = distances[_free_postures(distances), self.pairs.index(pair)]
@@ -127,8 +127,8 @@ def sample_meetings(
 
     First `samples` postures are drawn, then further ones, up to 40,000 in total, until `enough` of
     them are `possible` and have a collision. For a complete robot, `counted` has the pairs whose
-    contacts count in plants, and the joint limits prevent contacts of the pairs in `apart`: `close`
-    has no pair of `apart` and no grazing pair of `counted`, and `met` is empty.
+    contacts count in plants; otherwise it is None. With `counted`, `met` is empty, `close` has no
+    pair of `apart`, and a pair of `counted` is not in `close` for grazing alone.
     """
     rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
     distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]

@@ -148,9 +148,9 @@ def find_place(
 ) -> Place | str:
     """A line towards the side or the front of the base, or the reason why there is no line.
 
-    A line starts at most 0.425 m and ends at most 0.125 m from l_m. If the end-effector follows it
-    without avoidance, the arm touches the base or comes nearer than `INNER` d_b. Lines to a contact
-    are best, then those to the smallest distance; of equal lines, that on which the arm best
+    A line is level; it starts up to 0.425 m and ends up to 0.125 m beside l_m. On it, without
+    avoidance, the arm touches the base or comes nearer than `INNER` d_b. Lines to a contact are
+    best, then those to the smallest distance; of equal lines, that on which the arm best
     compensates the base's motion, then the first one of `_front` or `_lateral`.
 
     `name` is the scenario, `guiding-front` or `guiding-lateral`. At least one of the monitored
@@ -239,8 +239,8 @@ def line_from(
 ) -> Place | str:
     """A line by `find_place`, tested by `fault_of_run`, or the reason why there is none.
 
-    `job` has scenario, robot, border data and `anyway`. The search for lines, and each possible
-    run, has the same share of the progress.
+    `job` has scenario, robot, border data and `anyway`, as for `find_place`. `on_progress` gets the
+    finished share.
     """
     name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
@@ -317,9 +317,9 @@ class _Guide:
         """Lines of a scenario, the most promising ones first; no two have nearly the same end.
 
         First the arm moves to each start from a known posture. Each time the caller requests a
-        line, a slower search looks for a posture with which a run starts. It tries the lines that
-        lead nearer to the base than `INNER` times d_b, with few tries and then with all. If it
-        finds none, it yields the first of the other lines on which a run can start.
+        line, a slower search, with few tries and then with all, looks for a line that leads nearer
+        to the base than `INNER` times d_b and on which a run can start. Only if no line satisfies
+        both conditions, this yields the first of the other lines on which a run can start.
         """
         mount = self._model.p_base()
         tops = _tops(self.body, float(mount[2]) + 0.4)  # not far above the arm
@@ -423,7 +423,7 @@ class _Guide:
         return q_m
 
     def _free_at(self, p: Array) -> Array | None:
-        """(n_m,) a free posture near a known one, with the end-effector at p (3,) [m]; or None."""
+        """(n_m,) a valid posture near a known one, with the end-effector at p (3,) [m]; or None."""
         away = np.linalg.norm(self._places - p, axis=1)
         self._short = min(self._short, float(away.min()))
         flaw = OUT_OF_REACH if away.min() > _NEAR else str(self._flaws[away.argmin()])
@@ -441,7 +441,7 @@ class _Guide:
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] tops of l_m's parts, lowered to `most` if higher, descending by over `_SAME_TOP`."""
+    """[m] tops of l_m's parts, at most `most`, in descending steps of more than `_SAME_TOP`."""
     found: list[float] = []
     for top in sorted((min(float(part.upper[2]), most) for part in body.parts), reverse=True):
         if not found or top < found[-1] - _SAME_TOP:
@@ -467,7 +467,7 @@ def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts ahead of the base: left of the mount, near both edges of the base, at the mount."""
+    """Starts ahead of the base: left of the mount, near the base's edges, and at the mount's y."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y, out in product((min(beside, high), low + 0.05, high - 0.05, float(mount[1])), outs):

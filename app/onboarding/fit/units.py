@@ -145,7 +145,7 @@ def shape_distances(
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
     `pairs` are pairs of groups by their indices; q_m (N, n_m) are the joint positions. With 150 or
-    more pairs of shapes, results of at least 0.5 m are lower bounds.
+    more pairs of shapes, only distances below 0.5 m are exact; larger ones give at least 0.5 m.
     """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:

@@ -67,7 +67,7 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] corners, and random points, up to 1,500 of each hull, in the link's frame."""
+        """(N, 3) [m] up to 1,500 corners and 1,500 random points per hull, in the link's frame."""
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
             count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
@@ -125,7 +125,7 @@ def _hull(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def in_pieces(shape: LinkShape) -> list[LinkShape]:
-    """The shape alone or, for a mesh, nearly convex pieces: hulls then meet only where links do."""
+    """The shape alone or, for a mesh, its nearly convex pieces."""
     if shape.kind != "mesh":
         return [shape]
     whole, pieces = shape._replace(kind="piece"), convex_pieces(shape.mesh)
@@ -144,7 +144,7 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
     """The triangles [m] of all parts of a mesh file; a part with many triangles is simplified. A
-    RobotFileError is raised if the file cannot be read, or has no triangles.
+    RobotFileError is raised if the content of the file is invalid, or has no triangles.
     """
     name, begin = f"mesh {path}", b""
     end, size = path.suffix[1:].lower() or "stl", path.stat().st_size
@@ -225,8 +225,8 @@ def is_foreign(path: Path) -> bool:
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """The mesh or, if it has more than `MOST_FACES` triangles, one of about that many with nearly
-    the same hull. Vertices in cubic cells with the edge `cell`, or larger, are merged in `mesh`.
+    """The mesh or, if it has more than `MOST_FACES` triangles, one of at most about that many, with
+    nearly the same hull. In `mesh`, vertices in cubic cells with the edge `cell` or larger merge.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh

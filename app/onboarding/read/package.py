@@ -92,7 +92,7 @@ def _check_size(archive: Path) -> None:
 
 
 def _checked(infos: list[zipfile.ZipInfo]) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    """The files of a zip by path, without folders; refuses too many, too large or equal ones."""
+    """The files of a zip by path, without folders; refuses too many, too large or repeated ones."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         why = f"it expands to {total / 1e6:,.0f} MB"

@@ -39,8 +39,8 @@ _ABOVE = 2  # [-] number of folders above the URDF's folder to which a path can 
 
 
 def locate(source: str) -> Path:
-    """The file at a path, or at a `file://` or `package://` address. A RobotFileError is raised if
-    there is no file, and the AssetError of `resolve_package_uri` if its package is wrong.
+    """The file at a path, or at a `file://` or `package://` address. If there is no file, this
+    raises a RobotFileError or, for `package://`, the AssetError of `resolve_package_uri`.
     """
     scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
@@ -186,7 +186,7 @@ def _split_address(reference: str) -> tuple[str, str, str]:
 
 def mesh_places(names: Iterable[str], folder: Path, packages: Packages) -> Iterator[Path]:
     """Possible files of a mesh by its `spellings`: in its package, or relative to the URDF's folder
-    or the two above; none if the scheme of the address is not `package`, `model` or `file`.
+    or the two above; none for an address with a scheme other than `package`, `model` or `file`.
     """
     for name in names:
         scheme, package, path = _split_address(name)

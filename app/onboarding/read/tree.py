@@ -123,8 +123,8 @@ def _some(names: Iterable[str]) -> str:
 
 
 def make_tree(robot: Element) -> Tree:
-    """Read links and joints of a URDF; each visual in `robot` gets one material, named by colour. A
-    RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
+    """Read links and joints of a URDF; each visual in `robot` keeps only its colour as a material.
+    A RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
     missing link, the links are not a tree, or a number is invalid.
     """
     for tag in ("link", "joint"):
@@ -280,7 +280,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
 
 
 def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
-    """Links of a segment that a joint outside of the chain and of telescopes moves."""
+    """Links of a segment that an independent joint outside of chain and telescopes moves."""
     slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
     found: dict[str, None] = {}
     for joint in (tree.joint_of[link] for link in segment):

@@ -217,7 +217,7 @@ def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The drive of two wheels, and of all `wheels` of their radius and height ahead or behind."""
+    """The drive of two wheels, and of all `wheels` of equal radius and height ahead or behind."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])

@@ -171,8 +171,8 @@ class CarLikeBase(BaseKind):
         self, speed: float, angle: float, v_cmd: Sequence[float] | Array
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] that the drive approaches for a command (v, ω). The
-        speed is the one along the present arc that is nearest to the command; smaller if this arc
-        and the command's bend to opposite sides; 0 if it would oppose the command.
+        speed is that along the present arc nearest to the command, smaller if this arc and the
+        arc of the command bend to opposite sides, and 0 if it would oppose the command.
         """
         top = self.max_linear_velocity_mps
         wanted, kappa = (clamp(float(v_cmd[0]), top), float(v_cmd[1])), self.curvature_max

@@ -60,7 +60,7 @@ def figure_11(sources: Sources) -> drawing.Drawing:
 @style.picture("fig12", "Figure 12: distances and error while tracking", *_TRACKED.values())
 def figure_12(sources: Sources) -> drawing.Drawing:
     """(a) Below the buffer distance of 0.15 m, the avoidance task of each method is inserted
-    continuously with top priority. (b) The repulsive method has a position error, the other none.
+    continuously with top priority. (b) Only the repulsive method has a position error.
     """
     distances = {pair: f"d_{pair}_m" for pair in _PAIRS}
     parts = sources.columns(_TRACKED, "t_s", *distances.values(), "ee_error_m")
@@ -176,7 +176,7 @@ def _smoothness(run: RunResult, method: str) -> dict[str, object]:
 
 
 def _avoidance_columns(run: RunResult, method: str) -> drawing.Table:
-    """Times and base accelerations of avoidance; commanded ones for the repulsive method."""
+    """Times and base accelerations: of avoidance or, for the repulsive method, commanded."""
     kind = "base" if method == "repulsive" else "avoidance"
     return {
         "t_s": run.trace["t_s"],
@@ -198,8 +198,8 @@ def _legend_below(figure: Figure, ax: Axes) -> None:
 
 @style.picture("fig16", "Figure 16: the refrigerator", paper.DOOR)
 def figure_16(sources: Sources) -> drawing.Drawing:
-    """The end-effector is fixed to the door. The door can collide with the mobile base; a
-    hyper-ellipsoid is its collision model.
+    """The end-effector is fixed to the door, which can collide with the mobile base. The
+    collision model of the door is a hyper-ellipsoid.
     """
     run, door = sources.runs[paper.DOOR], _door()
     pose, q_m = run.trace.of("base_pose")[0], run.trace.of("q_m")[0]

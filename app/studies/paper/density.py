@@ -196,7 +196,7 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """For each border, the largest changes between successive rows; then points over surface."""
+    """The largest changes between successive rows for each border, and ratios of both borders."""
     result: dict[str, Any] = {}
     linear, angular = "acceleration_step_max_mps2", "acceleration_step_max_radps2"
     for kind, along in found.items():

@@ -64,7 +64,7 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of `hqp` for the activations B (k,), set in `w`; NaN if a Jacobian is not finite."""
+    """Set `w.B` to B (k,); return q̈ (n,) of `hqp`, NaN if a Jacobian is not finite."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 

@@ -30,7 +30,7 @@ ROBOT = "husky_panda"  # the paper's robot
 
 
 class Experiment(RunSpec):
-    """The specification of a run of the paper's robot, as `dbb run` makes it."""
+    """The specification of a run of the paper's robot."""
 
     @classmethod
     def of(cls, scenario: str, controller: str, **line: Point) -> Self:

@@ -1,4 +1,4 @@
-"""§2, §3: border, score and reachability (Figures 3 to 6), acting point, activation (7, 8, 10)."""
+"""§2, §3: border, score, reachability (Figures 3, 5, 6), acting point, activation (7, 8, 10)."""
 
 from typing import Any, NamedTuple
 
@@ -225,7 +225,7 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in row k of a run, on the border's surface; `config` is as in `Sources.force`."""
+    """The force in row k of a run, on the border's surface; by default with `sources.config`."""
     run = sources.runs[experiment].trace
     q_m = run.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
@@ -233,7 +233,7 @@ def force_at(
 
 
 def turning(sources: Sources) -> Force:
-    """Of each 20th force of WHEEL_AXIS in the buffer, that whose smaller component is largest."""
+    """Of every 20th force of WHEEL_AXIS in the buffer, that with the largest smaller component."""
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::20]
     return max(

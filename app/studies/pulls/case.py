@@ -84,8 +84,8 @@ def load_sources(robot: str) -> StudySources:
 
     `near` and `far` are the quantiles 2 % and 98 % of the end-effector's distance from the shoulder
     in random postures. Only postures count in which the end-effector points outwards, with a
-    sideways component below 0.5, and at most 15° upwards, as the start solver requires. If none of
-    4000 postures counts, `near` is 0 and `far` is infinite.
+    sideways component below 0.5, and at most 15° upwards. If none of 4000 postures counts, `near`
+    is 0 and `far` is infinite.
     """
     model = RobotModel(load_robot(robot))
     body, data = MobileBody(model), load_border_data(model, progress=False)
@@ -242,7 +242,7 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     """Run a case with the random quantities `drawn`, and return its row with the results.
 
     `nan` is true if a torque, a pose of the base or a result is not finite. If the run stops with
-    an error, `error` is the reason, without results; but errors of the robot's files are raised.
+    an error, `error` is the reason, without results; AssetError and RobotFileError are raised.
     """
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)
@@ -272,7 +272,7 @@ def _met(row: Row, prefix: str) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded 1.05 of its speed limit, with no torque at its limit for 0.1 s."""
+    """Whether a joint exceeded 1.05 of its speed limit > 0.1 s after the last saturated torque."""
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > 1.05
 
 

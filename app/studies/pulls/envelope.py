@@ -74,9 +74,9 @@ def exerted(row: Row) -> float:
 def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
     """Fit an envelope to cases, with the intervals of the study's ranges.
 
-    A case is bad if it failed, or if the arm came nearer to the base than 10 mm. F* is 0.9 times
-    the smallest force of a bad case or, if this is smaller, the largest force of the other cases;
-    F* is rounded down to 1 N. Without other cases, F* is 0.
+    A case is bad if it failed, or if the arm came nearer to the base than 10 mm. F* is the smaller
+    of two forces: 0.9 times the smallest force of a bad case, and the largest force of the other
+    cases; F* is rounded down to 1 N. Without other cases, F* is 0.
     """
     good: list[float] = []
     bad: list[float] = []
@@ -95,7 +95,7 @@ def tally(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of all cases inside an envelope that is fitted to the other half (even or odd)."""
+    """The tally of the even cases inside an envelope fitted to the odd cases, and vice versa."""
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
     for fitted, others in (halves, halves[::-1]):

@@ -99,7 +99,7 @@ class StudyRange(Strict):
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
-        """Raise a `ConfigError` for an invalid value; it names the option of `dbb study`."""
+        """Raise a `ConfigError`, which names the option of `dbb study`, for an invalid value."""
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
             if name in PARAMETERS:

@@ -209,7 +209,7 @@ def draw_envelope(rows: Rows, envelope: Envelope, _: float) -> Figure:
 @picture("clearance", "Smallest distance between arm and base")
 def draw_clearance(rows: Rows, envelope: Envelope, d_b: float) -> Figure:
     """The smallest true distance between the convex bodies of arm and base in each run. The red
-    line is contact, the grey line is d_b. Left: number of cases inside and outside the envelope
+    line is at 0 m, the grey line at d_b. Left: number of cases inside and outside the envelope
     that is fitted to them. Right: each case, by the direction of its start; failed cases are red.
     """
     figure, (left, right) = new_panels(4.2, 1, 2, width_ratios=(3, 2))
@@ -250,7 +250,7 @@ def draw_errors(rows: Rows, *_: object) -> Figure:
 
 
 def _by_kind(axes: Axes, rows: Rows, column: str, ends: tuple[float, float]) -> None:
-    """Draw the known values of each kind of cases as a row of points, limited to `ends`."""
+    """Draw the known values of each kind of cases as a row of points, clipped to `ends`."""
     known = [row for row in rows if row.get(column) is not None]
     kinds = sorted({row["kind"] for row in known}, reverse=True)
     for y, kind in enumerate(kinds):

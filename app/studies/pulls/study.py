@@ -43,9 +43,9 @@ def study(
     this machine. `on_progress` gets the number of stored cases.
 
     Raises:
-        StudyError: The existing folder `out` has another study or damaged data, is in use or not
-            writable; the scheduler does not answer or has no suitable workers; a range has no part
-            inside the stated envelope; or the arm reaches no start.
+        StudyError: The existing folder `out` has another study or damaged data, or is in use; the
+            scheduler does not answer or has no suitable workers; a range has no part inside the
+            stated envelope; or the arm reaches no start.
         DbbError: The robot cannot be loaded, or no monitored part of its arm can meet the base.
     """
     if parameters.inside:
@@ -214,8 +214,8 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
 def _client(scheduler: str) -> Any:
     """A dask client of the scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-    If no scheduler answers, it has no workers, or a worker has other code than this process, this
-    raises a StudyError. The certificates for `tls://` addresses come from dask's configuration.
+    Raises a StudyError if no scheduler answers, if there is no worker, or if a worker has other
+    code than this process. The certificates for `tls://` addresses come from dask's configuration.
     """
     # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client

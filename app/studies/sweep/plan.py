@@ -89,7 +89,7 @@ def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> flo
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths and runs of a sweep; a field's annotation has its valid range and its unit."""
+    """The paths and runs of a sweep; an `Annotated` field has its valid range and its unit."""
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
@@ -122,7 +122,7 @@ class SweepPlan:
     config: Config = field(default_factory=Config)
 
     def __post_init__(self) -> None:
-        """Check all values; raises a `ConfigError` or an `UnknownNameError`."""
+        """Check controllers, plant and ranges; raises a `ConfigError` or `UnknownNameError`."""
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         chosen_plant(self.physics)
@@ -148,7 +148,7 @@ class SweepPlan:
         return usual if self.start_distance is None else self.start_distance
 
     def approaches(self, model: RobotModel) -> list[Approach]:
-        """All paths; the runs along each path have all speeds and controllers."""
+        """All paths, without speeds and controllers."""
         from app.border.mobile import MobileBody
 
         directions, body = range(round(360.0 / self.step)), MobileBody(model)

@@ -176,7 +176,7 @@ def load(robot: str, d_b: float) -> StartFinder:
 
 
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
-    """Run all paths of a plan, and return the content of `sweep.json`; its keys end in the unit."""
+    """Run all paths of a plan, and return the content of `sweep.json` except its key `files`."""
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
     # Paths along the wheel axis that differ only in p_b share a search for postures.
