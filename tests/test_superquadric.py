@@ -24,7 +24,7 @@ from app.strict import explain
 
 Array = np.ndarray
 
-DEVIATION = {1.0: 0.005, 2.0: 0.03}
+DEVIATION = {1.0: 0.005, 2.0: 0.01}
 """[-] bound of the polytope's deviation per longest semi-axis, by the largest exponent."""
 EXTREMES = [(e1, e2) for e1 in (0.1, 0.2, 1.0, 2.0) for e2 in (0.1, 0.2, 1.0, 2.0)]
 
