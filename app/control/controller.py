@@ -214,6 +214,7 @@ class Controller:
             ratio = float(w.clock_ratio or w.ratio)
             self.dt = min(max(self.dt * ratio, contract.SHORTEST), contract.LONGEST)
             self._set_gains()
+            gains = self._gains
             if w.stamp == w.stamp:  # its age is now a different number of periods
                 hidden = w.hidden_lag - w.stated_lag
                 w.lag[...] = np.rint((w.lag - hidden) / ratio) + hidden
