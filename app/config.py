@@ -212,8 +212,8 @@ class TaskConfig(Strict):
     """[1/s²] stiffness of the arm's posture task. The task moves the arm towards its first measured
     posture or, after the fault `jump`, towards the posture at the newest `jump`."""
     joint_centering: float = number(8.0, 0.0, 100.0, "Joint-limit stiffness")
-    """[1/s²] restoring acceleration of a joint at a position limit, divided by half of its range.
-    This acceleration is proportional to the fifth power of the distance from the middle."""
+    """[1/s²] acceleration of a joint at a position limit towards the middle of its range, divided
+    by half of the range. It is proportional to the fifth power of the distance from the middle."""
     posture_damping: float = number(4.0, 0.0, 100.0, "Posture damping")
     """[1/s] damping of the arm's posture task."""
     base_damping: float = number(3.0, 0.0, 20.0, "Base damping k")

@@ -293,8 +293,8 @@ class Timeline:
     def mark_begin(self) -> None:
         """Mark the shown instant as the start of the interval.
 
-        A later end in the same run remains, or moves to `MOST_MARKED` after the start. Without such
-        an end, the interval grows up to `MOST_MARKED`.
+        A later end in the same run remains; if the interval would be longer than `MOST_MARKED`, its
+        end moves to this length. Without such an end, the interval grows up to `MOST_MARKED`.
         """
         with self._lock:
             begin, end = self.shown().t, None if self.earlier else self.end

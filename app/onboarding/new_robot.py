@@ -1,4 +1,4 @@
-"""All steps from a URDF to the folder of a robot: description, new URDF, border and report."""
+"""All steps from a URDF to a robot: a folder (description, new URDF, report) and its border."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -275,7 +275,7 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
 
 
 def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
-    """The checked robot and the text of its new URDF; converts foreign meshes into `folder`."""
+    """Checked robot and text of its new URDF; each `is_foreign` mesh becomes an STL in `folder`."""
     parsed, source = parse(request, whole), request.shown_source
     header = f"Made by dbb new-robot from {source}; its sources and licences: SOURCES.md"
     return parsed, write.rebased_urdf(parsed, name=request.name, header=header, home=folder)

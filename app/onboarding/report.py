@@ -34,7 +34,7 @@ _ORIGIN = (0.0, 0.0, 0.0)  # pose of the base
 
 
 class Pictures(NamedTuple):
-    """Pictures of a new robot: PNG files, and a page with a 3D view."""
+    """Pictures for the report of a new robot: PNG images as bytes, and the page of a 3D view."""
 
     bodies: bytes
     border: bytes | None  # None for a robot without a border

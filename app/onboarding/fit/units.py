@@ -109,7 +109,7 @@ def _unit(
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
-    """(N, 3) [m] coordinates in frame A of points with coordinates (N, 3) [m] in B; T is T_A_B."""
+    """The points (N, 3) [m] of frame B in coordinates of frame A, (N, 3) [m]; T is T_A_B."""
     return points @ T.rotation.T + T.translation
 
 
