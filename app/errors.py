@@ -82,7 +82,7 @@ class OutputError(DbbError):
 
 
 class LogError(DbbError):
-    """A log cannot be read or written, for example because it is damaged or has other columns."""
+    """A file is not a valid log, snapshots cannot form one, or a recorded instant is missing."""
 
 
 class CaseError(DbbError):

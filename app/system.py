@@ -318,7 +318,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def return_freed_memory_early() -> None:
-    """Make glibc return freed memory to the system early; other C libraries do this anyway."""
+    """Make glibc return freed memory to the system early; no effect with other C libraries."""
     _call_c("mallopt", -3, 2**17)  # M_MMAP_THRESHOLD [bytes]
     _call_c("mallopt", -8, 1)  # M_ARENA_MAX
 

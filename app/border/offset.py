@@ -169,8 +169,8 @@ class _Tracer:
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
-    """(H,) [m] heights of the traced slices of an offset, at most 10 mm apart: from the floor
-    to the arc above the shape; for a shape high above the floor, from the arc below the shape.
+    """(H,) [m] heights of the traced slices of an offset, at most 10 mm apart: from the floor, or
+    from the lowest point of the offset if this is above the floor, to the top of the offset.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

@@ -520,7 +520,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     its limits. q̈_0 has the base's response to `w.a_base_cmd`, and minimises ½ q̈ᵀ H q̈ + cᵀ q̈ over
     the arm's entries. This cost contains posture, T_2 with a far higher weight than in the other
     QPs, and the base's rows as springs. The limits have slow approach rates, so the base reacts
-    early: it turns in time if a wrist joint comes near its limit. Returns the number of limits.
+    early: it turns before a wrist joint is at a limit, for example. Returns the number of limits.
     """
     H, c, _, _ = track(slow, w, slow.base_weight * slow.ee_weight, True)
     base = slice(0, robot.n_b)

@@ -258,7 +258,7 @@ def _store(w: Any, qdd: Array, a_base: Array) -> None:
 
 @compiled()
 def _predict(robot: Any, gains: Any, w: Any, velocity: Array, fresh: bool, missed: float) -> None:
-    """Predict the arm's motion in the period that has just ended, and in the `missed` ones after.
+    """Predict the arm's motion in the period after the last step, and in `missed` periods after it.
 
     In missed periods the accelerations remain constant, and `w.qd_used` gets the predicted
     velocities, because the law has used none. If the last torques or the base's last velocity are

@@ -309,8 +309,8 @@ class Carried(NamedTuple):
 
 
 def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
-    """Shares of random postures near the base in which the arm cannot hold its end-effector, by the
-    axis along which the base moves at its largest commanded speed; see `lost_ee`.
+    """For each axis of the base, shares of random postures near the base in which the arm cannot
+    hold the end-effector while the base moves along it at its largest commanded speed (`lost_ee`).
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, model.description.config.admittance)

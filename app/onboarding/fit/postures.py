@@ -148,7 +148,7 @@ def find_place(
 ) -> Place | str:
     """A line towards the side or the front of the base, or the reason why there is no line.
 
-    A line is level; it starts up to 0.425 m and ends up to 0.125 m beside l_m. On it, without
+    A line is level. Its start is at most 0.425 m from l_m, its end at most 0.125 m. On it, without
     avoidance, the arm touches the base or comes nearer than `INNER` d_b. Lines to a contact are
     best, then those to the smallest distance; of equal lines, that on which the arm best
     compensates the base's motion, then the first one of `_front` or `_lateral`.

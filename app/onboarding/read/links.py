@@ -186,7 +186,7 @@ load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 
 def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
-    """Advice for an unreadable mesh file, or empty; `begin` is its first part, `end` its format."""
+    """Advice for an unreadable mesh file, or empty; `begin`: its first bytes, `end`: its suffix."""
     if end == "gltf":  # for a damaged file, trimesh looks for another .gltf
         if isinstance(error, FileNotFoundError) and not str(error).endswith(".gltf"):
             return " is missing beside it: add this file, or export the mesh as .glb"
