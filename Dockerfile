@@ -8,9 +8,10 @@ COPY . /src
 RUN pip install --no-cache-dir --require-hashes -r /src/requirements/all.txt \
     && pip install --no-cache-dir --no-deps /src \
     && rm -rf /src
-# Kernels are compiled here, for every machine of this architecture, and read by every user.
+# Kernels are compiled here, for every machine of this architecture, and read by every user. Every
+# user can write into /data, also after Docker has created a volume for it.
 ENV NUMBA_CPU_NAME=generic
-RUN python -c 'import app.simulation.session'
+RUN python -c 'import app.simulation.session' && install -d -m 1777 /data
 USER nobody
 EXPOSE 8080
 ENTRYPOINT ["dbb"]
