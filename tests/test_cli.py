@@ -514,6 +514,11 @@ FIGURES_OF_A_RUN = {
             {"contacts": 7, "floor_contacts": 1},
             "The arm touched the base and the floor; smallest distance 50 mm (lm-lEE)",
         ),
+        ({"door_contacts": 3}, "The door touched the base; smallest distance 50 mm (lm-lEE)"),
+        (
+            {"arm_contacts": 1, "door_contacts": 3},
+            "The arm touched itself, and the door touched the base; smallest distance 50 mm",
+        ),
         (
             {"min_distance_m": {"lm-lEE": -0.008}},
             "Overlap; bodies overlapped by 8.0 mm (lm-lEE); final end-effector error 12.3 mm. "

@@ -41,7 +41,7 @@ class Files:
 FilesOptions = Annotated[Given, from_record(Files)]
 ContactOption = Annotated[
     options.Flag,
-    tyro.conf.arg(help="End with status 1 if the arm touched the base, itself or the floor."),
+    tyro.conf.arg(help="End with status 1 if the plant reported a contact, also with the floor."),
 ]
 
 

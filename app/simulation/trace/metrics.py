@@ -54,8 +54,10 @@ def metrics(run: Trace) -> dict[str, Any]:
 
 
 def touches(figures: dict[str, Any]) -> list[str]:
-    """The parts that the arm touched: "the base", "itself", "the floor"."""
-    return [part for key, part in _TOUCHED.items() if figures[key]]
+    """The contacts of a run: "the arm touched the base and itself", "the door touched the base"."""
+    arm = " and ".join(part for key, part in _TOUCHED.items() if figures[key])
+    door = ["the door touched the base"] if figures.get("door_contacts") else []
+    return [f"the arm touched {arm}", *door] if arm else door
 
 
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
@@ -67,7 +69,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
     names = {pair: spoken(pair, chain) if chain else pair for pair in distances}
     least, error = min(known.values(), default=math.inf), figures["ee_error_final_m"]
     result = outcome(least, touched=bool(touched))
-    text = f"The arm touched {' and '.join(touched)}" if touched else result.capitalize()
+    text = (", and ".join(touched) or result).capitalize()
     if known:
         near = f"smallest distance {1000 * least:.0f}"
         if least < 0:
