@@ -101,9 +101,9 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b for which the bound of the distance is at least `RESERVE`.
 
-    The configured d_b has no influence. The result is at least the larger of `RESERVE` and d_full,
-    and equals this value if v ≤ 0. It is infinite if no d_b up to 2 m suffices, for example because
-    the arm is faster than the base.
+    The configured d_b has no influence. The result is at least 0.05 m; if v ≤ 0, it is the larger
+    of `RESERVE` and d_full. It is infinite if no d_b up to 2 m suffices, for example because the
+    arm is faster than the base.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:
