@@ -1,7 +1,7 @@
 """Direct calls of the libraries in a plain implementation of the step, as a reference of duration.
 
 They compute dynamics, placements and distances of the pairs, the Jacobians of the end-effector and
-of each body of a pair, and the solution of one random QP with the size of the arm's QP: q̈_m is
+of each body of a pair, and the solution of one random QP, slightly smaller than the arm's: q̈_m is
 unknown; limits of torques and joints, and distances to the base, are inequalities. ProxQP solves
 this QP with a warm start; only its gradient changes between the calls. The control step itself
 solves its QPs with its own compiled solver.
