@@ -243,8 +243,8 @@ def bench(
 
     Args:
         no_border: Do not measure the sampling of a new border, which takes minutes.
-        seed: Seed of all random numbers: for the simulated paths, for the synthetic borders, and
-            for the QP that a library solves for comparison with the control step.
+        seed: Seed of the simulated paths, of the synthetic borders, and of the QP that a library
+            solves for comparison with the control step. Other measurements have fixed seeds.
     """
     options.check_seed(seed)
     try:

@@ -45,7 +45,7 @@ class Serving:
     [server] allow_host = ["NAME"]."""
     start: Point | None = None
     """[m] start of the end-effector, in the world; default: the start of guiding-front. If
-    robot.toml has no line for that scenario, the arm starts in its ready posture."""
+    robot.toml has no [lines.guiding-front], the arm starts in its ready posture."""
     case: Path | None = None
     """File of a case, saved in the dashboard or in the folder `failures` of a study. The case sets
     robot, start, parameters and seed, and also controller and plant unless --controller or

@@ -56,7 +56,7 @@ class Tuning:
         return self.config.changes(self.usual)
 
     def set(self, path: str, value: float | str) -> None:
-        """Change one parameter; its successive changes within `BURST` become one step for `undo`.
+        """Change one parameter; its changes, each within `BURST` of the last, are one `undo` step.
 
         Raises `ConfigError` for an unknown parameter, a wrong value, or a gain that is too large.
         """

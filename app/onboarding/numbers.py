@@ -352,7 +352,7 @@ def best_fit(counted: ReachMap) -> tuple[ReachFit, float]:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """A parabola about the mean distance of a body's first shape to the mount, because of `why`."""
+    """A parabola about the mean distance of a body's first shape to the mount; `why`: reason."""
     shape, mount = model.geometry.geometryObjects[model.shape_ids[body][0]], model.p_base()
     rho = []
     for q in sample_joints(model, 2000, np.random.default_rng(0)):

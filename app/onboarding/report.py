@@ -234,7 +234,7 @@ def reach_png(robot: NewRobot) -> bytes | None:
 def _hulls(
     robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]
 ) -> list[tuple[Array, str]]:
-    """Corners (N, 3) [m] of each hull of a link, and the colour of the link."""
+    """Corners (N, 3) [m] of the hulls of all links, each with the colour of its link."""
     return [
         (moved(part.corners, placed[unit.joint]), COLOURS[bare.get(part.link)])
         for unit in robot.meetings.units

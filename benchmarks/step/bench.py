@@ -46,8 +46,8 @@ def bench(
     Args:
         model: The robot.
         data: Its pairs and clouds.
-        seed: Seed of all random numbers: of the simulated paths, the synthetic borders, and the QP
-            that the libraries solve directly, for comparison.
+        seed: Seed of the simulated paths, the synthetic borders, and the QP that the libraries
+            solve directly, for comparison. Other measurements have fixed seeds.
         points: Numbers of points of the borders for `step_p50_us_by_points`.
         border: Whether to measure the sampling of a new border, which takes minutes.
         on_stage: Called with the name of each measurement before it starts.

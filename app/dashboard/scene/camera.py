@@ -138,9 +138,9 @@ class Camera:
         return self._preset if self._waits() or away < 0.02 else ""  # [m]
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the preset `wanted`, if any; fit the last preset again if the window has changed.
+        """Use the preset in `wanted`, if any; fit the last one again if the window has changed.
 
-        The camera is not fitted during a pull (`busy`), or after the viewer has moved the camera.
+        There is no such fit during a pull (`busy`), or after the viewer has moved the camera.
         """
         wanted, self.wanted = self.wanted, ""
         if wanted:

@@ -208,6 +208,6 @@ def to_viser(T: pin.SE3) -> tuple[Array, Array]:
 
 
 def in_world(base_pose: Array, points: Array) -> Array:
-    """Transform points (..., 3) [m] from the base's frame, whose origin is `ROOT`, to the world."""
+    """Transform points (..., 3) [m] from the base's frame (node `ROOT`) to the world."""
     x, y, phi = base_pose
     return points @ pin.utils.rotate("z", phi).T + (x, y, 0.0)

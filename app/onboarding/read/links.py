@@ -135,7 +135,7 @@ def in_pieces(shape: LinkShape) -> list[LinkShape]:
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
-    """The union of a shape after each of `motions` (in the link's frame), with one hull."""
+    """The union of a shape's copies after `motions` in the link's frame, and its convex hull."""
     corners = np.asarray(shape.hull.vertices)
     hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in motions]))
     meshes = [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
