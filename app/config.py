@@ -228,7 +228,7 @@ class TaskConfig(Strict):
     ee_weight: float = number(1e5, 1.0, 1e7, "End-effector weight", advanced=True)
     """[-] weight of the end-effector's task relative to the posture task."""
     slack_weight: float = number(1e-3, 1e-4, 0.1, "Softness ε", advanced=True)
-    """[-] ε, softness of a fully active row of T_sca: the row's compliance, divided by that of the
+    """[-] ε, softness of a fully active row of T_sca: ratio of the row's compliance to that of the
     tasks below T_sca. Joint limits and barriers have the softness ε². Limits of torques and of
     the base's acceleration are hard."""
 

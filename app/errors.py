@@ -82,7 +82,7 @@ class OutputError(DbbError):
 
 
 class LogError(DbbError):
-    """A file is not a valid log, snapshots cannot form one, or a recorded instant is missing."""
+    """A file or snapshots are no valid log, or a recorded instant, interval or value is missing."""
 
 
 class CaseError(DbbError):

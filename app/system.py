@@ -172,7 +172,7 @@ def unfinished_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder; try for a second, because ending programs may still write into it."""
+    """Remove a folder; retry during one second: ending programs may still write into it."""
     end = time.monotonic() + _PATIENCE
     shutil.rmtree(folder, ignore_errors=True)
     while folder.exists() and time.monotonic() < end:

@@ -11,8 +11,8 @@ Without them, both are estimated from the readings. The module decides on four p
   at which the predicted state equals the reading (`_match_lag`). Any other delay is the time until
   accelerations due to the torques and the base appear in the measured positions (`_find_lag`).
 - **The period** is right if a joint's motion is the integral of its velocity (`_find_period`).
-- **The contradiction**. At each lag, the commanded torques explain the motion of a joint far above
-  its speed limit worse than no torques do (`_weigh_lags`). Many successive jumps count too.
+- **The contradiction**. A joint moves far above its speed limit, and at each lag the commanded
+  torques explain its motion worse than no torques (`_weigh_lags`). Many successive jumps count too.
 - **The velocities** are not used if they exceed the speed limits by far, or do not match the
   positions at any plausible period. The positions and the model of the base's drive replace them.
 """
@@ -137,9 +137,9 @@ _NOISY = 0.05  # [rad] noise of a wrapped position at a joint limit
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
     """The joint positions q (n_m,) without the jumps by full turns that some drivers make.
 
-    A position within ±1 turn moves by full turns to the value nearest to `last` (n_m,), if this is
-    at most 0.05 rad beyond the limits (2, n_m). In the `first` reading, a position more than 0.05
-    rad beyond a limit moves by one turn, unless it is then beyond the other limit.
+    A position between −2π and 2π moves by full turns to the value nearest to `last` (n_m,), if this
+    value is at most 0.05 rad beyond the limits (2, n_m). In the `first` reading, a position more
+    than 0.05 rad beyond a limit moves by one turn, unless it is then beyond the other limit.
     """
     found, turn = q.copy(), 2.0 * math.pi
     for i in range(len(q)):

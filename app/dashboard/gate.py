@@ -122,7 +122,7 @@ class Gate:
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """Check all connections of the server that viser starts in this context."""
+        """Context: the server that viser starts in it lets this gate check all connections."""
         with _lock:
             original, seen = websockets_server.serve, []
 

@@ -29,7 +29,7 @@ _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR
 
 @contextmanager
 def one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert an exception to a `RobotFileError` with the unreadable file, or else with `doing`."""
+    """Convert any error but a `DbbError` to a `RobotFileError` with the file, or else `doing`."""
     try:
         yield
     except DbbError:

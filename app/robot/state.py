@@ -205,7 +205,7 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
 
 @compiled()
 def carrying(joint: int) -> int:
-    """Number k: the first k of pinocchio's velocities move the body on a joint; 0 for the world."""
+    """How many of pinocchio's velocities, the first ones, move the body on a joint; world: 0."""
     return joint + 2 if joint > 0 else 0
 
 
@@ -312,7 +312,8 @@ def distance_motions(
     "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:], f8[:])"
 )
 def tip_motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """`chain_motion`, and Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of the last body at p (3,).
+    """The results of `chain_motion`, and for the last body's point at p (3,) [m] its Jacobian
+    (6, n), its velocity (6,) and J̇ q̇ (6,).
 
     The last three have linear, then angular rows, in axes of the world.
     """

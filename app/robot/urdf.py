@@ -95,8 +95,8 @@ def mesh_path(address: str) -> Path:
 
 
 def mesh_bytes(links: Iterable[Element]) -> int:
-    """[bytes] size of the mesh files of links, with the `.bin` files beside a `.gltf`; 0 without a
-    file, otherwise above `SMALL`: few bytes can encode many triangles. Errors: as `mesh_path`.
+    """[bytes] size of the links' mesh files, with `.bin` files beside a `.gltf`; 0 without a file,
+    else at least `SMALL` + 1: few bytes can encode many triangles. Errors: as `mesh_path`.
     """
     named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     files = {path for path in map(mesh_path, named) if path.is_file()}

@@ -260,7 +260,7 @@ def detection_of(
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
     Contacts of `neighbours`, and of the pairs in `Meetings.close` for the buffer distance d_b [m],
-    do not count; contacts of the pairs in `Meetings.apart` count. `workers` share the work.
+    do not count; a close pair that is in `Meetings.apart` does count. `workers` share the work.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)

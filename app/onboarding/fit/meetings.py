@@ -181,11 +181,11 @@ def _touch_mostly(distances: Array) -> Array:
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
-    """Pairs (link of u, link of v) of nested links; none if the units u and v are not nested.
+    """Pairs (link of u, link of v) of nested links of two units; none if these are not nested.
 
     Units are nested if they are in `found.nested` or `found.grazing`, or are neighbours that touch
-    in half of the postures or more. Links of grazing units are nested if they touch in any posture;
-    other links, if they touch in half or more of the postures in which their units touch.
+    in half of the postures or more. Links of grazing units are nested if they touch in any posture.
+    Links of other nested units must touch in half or more of the postures in which the units touch.
     """
     a, b, grazing = found.units[u], found.units[v], (u, v) in found.grazing
     if (u, v) in found.pairs and (u, v) not in found.nested and not grazing:

@@ -55,7 +55,7 @@ class LinkShape(NamedTuple):
 
 
 class LinkGeometry(NamedTuple):
-    """The collision shapes of a link, or its visual shapes if it has no collision shape."""
+    """The shapes of a link: its collision shapes or its visual ones, see `link_geometry`."""
 
     shapes: tuple[LinkShape, ...]
     seen_only: bool  # whether the shapes are visual ones

@@ -186,7 +186,7 @@ def _split_address(reference: str) -> tuple[str, str, str]:
 
 def mesh_places(names: Iterable[str], folder: Path, packages: Packages) -> Iterator[Path]:
     """Possible files of a mesh by its `spellings`: in its package, or relative to the URDF's folder
-    or the two above; none for an address with a scheme other than `package`, `model` or `file`.
+    or the two folders above it; none for a scheme other than `package`, `model` or `file`.
     """
     for name in names:
         scheme, package, path = _split_address(name)

@@ -202,7 +202,7 @@ def guided_back(_: Sources, run: RunResult) -> Findings:
 
 @claim("4.2.2", "fig14", *paper.GUIDING["dbb"].values())
 def continuous(_: Sources, *runs: RunResult) -> Findings:
-    """The activation rises while the distance falls, and the task is inserted continuously."""
+    """While the distance falls, the activation has no jump: the task is inserted continuously."""
     for name, run in zip(paper.GUIDING["dbb"], runs, strict=True):
         text, key = f"{name}: largest change", f"{name}_beta_step"
         yield compare(text, key, beta_step(run), high=BETA_STEP)

@@ -133,7 +133,7 @@ def snapshot_drawing(
 ) -> Drawing:
     """A drawing with four snapshots of each strip, a table of `Strip.paths`, and results by `keys`.
 
-    The table has the names of the strips in the column `kind`, and also `columns` of the traces.
+    The table also has a column `kind` with the strips' names, and `columns` from the traces.
     `text` is the legend's text for `Strip.marks` or, if the strips have none, for `Strip.aim`.
     """
     height = len(strips) * (style.WIDTH / _COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
