@@ -147,7 +147,8 @@ class ComparePanel(Panel):
 
 def scores_html(scores: tuple[Score, ...]) -> str:
     """Return a table, or a sentence without scores. ✓ marks the best of differing results, except
-    base travel, of robots without contact or overlap."""
+    base travel, of robots without contact or overlap.
+    """
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (
