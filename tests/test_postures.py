@@ -19,6 +19,7 @@ from app.onboarding.fit.postures import Place, chosen, fault_of_run, find_place
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import Box
+from app.simulation.plants.interface import Contacts
 from app.simulation.run import run_scenario, steps_of
 from tests.onboarding import FAST_LINES
 from tests.robots import husky_panda, with_mobile_shapes
@@ -257,6 +258,29 @@ def test_a_base_that_returns_before_the_end_has_not_given_way(
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
     monkeypatch.setattr(postures, "steps_of", back)  # without this patch, the base gives way
     assert fault_of_run(with_buffer(D_B), border_data, "guiding-lateral", place)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (lambda step: {"distances": np.append(step.distances[:-1], -0.001)}, "l2-lEE comes nearer"),
+        (lambda step: {"contacts": Contacts(arm_arm=True)}, "links touch"),
+    ],
+)
+def test_a_run_in_which_the_arm_meets_itself_is_refused(
+    changes: Any, fault: str, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A person folded a weak arm (Alicia-D) into itself on the line that was chosen for it."""
+    place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
+
+    def folded(*args: Any) -> Iterator[Any]:
+        for session, step in steps_of(*args):
+            yield session, step._replace(**changes(step)) if step.t > 0.5 else step
+
+    monkeypatch.setattr(postures, "LINES", FAST_LINES)
+    monkeypatch.setattr(postures, "steps_of", folded)  # without this patch, the line has no fault
+    found = fault_of_run(with_buffer(D_B), border_data, "guiding-lateral", place)
+    assert found.startswith(fault)
 
 
 def test_a_run_through_the_floor_names_the_floor(

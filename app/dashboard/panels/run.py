@@ -146,9 +146,7 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return a table, or a sentence without scores. ✓ marks the best of differing results, except
-    base travel, of robots without contact or overlap.
-    """
+    """Return a table; ✓: best of differing results, not of base travel or robots with contact."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (

@@ -205,30 +205,34 @@ def fault_of_run(
 ) -> str:
     """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
-    At the end, the base has to be `GIVES_WAY` times d_b from its start. The arm always has to stay
-    `CLEARANCE` from the base and 0.01 m from the floor. `on_progress` gets the finished share.
+    At the end, the base has to be `GIVES_WAY` times d_b from its start. Always, the arm has to be
+    `CLEARANCE` from the base and 0.01 m from the floor. No bodies of the arm may overlap, and no
+    links touch in the default plant. `on_progress` gets the finished share.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
-    run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
-    mobile, search, moved, nearest = data.pairs.mobile, _search(model, data.pairs), 0.0, np.inf
+    run = RunSpec(model.description.name, line, model.description.config)
+    pairs, search, moved, nearest = data.pairs, _search(model, data.pairs), 0.0, np.inf
+    least = np.array([CLEARANCE if pair in pairs.mobile else 0.0 for pair in pairs.all])
     try:
         with closing(steps_of(run, model, data)) as steps:
-            for k, (_, step) in enumerate(steps):
-                if k % 100 == 0:
+            for number, (_, step) in enumerate(steps):
+                if number % 100 == 0:
                     on_progress(step.t / line.duration)
                     search.place(step.truth.q_m)
                     if search.above_floor() < _LOWEST:
                         return f"the arm comes nearer than {_LOWEST:g} m to the floor"
-                d, pair = min(zip(step.distances, mobile, strict=False))
-                nearest = min(nearest, d)
-                if d < CLEARANCE:  # the rest of the run cannot change that
-                    return f"{pair.name} comes nearer than {CLEARANCE:g} m"
+                nearest = min(nearest, *step.distances[: len(pairs.mobile)])
+                k = int(np.argmin(step.distances - least))
+                if step.distances[k] < least[k]:  # the rest of the run cannot change that
+                    return f"{pairs.all[k].name} comes nearer than {least[k]:g} m"
+                if any(step.contacts):
+                    return "links touch"
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
     except UnreachableError as error:
         return str(error)
-    if moved >= (least := GIVES_WAY * search.d_b):
+    if moved >= (needed := GIVES_WAY * search.d_b):
         return ""
-    text = f"the base moves by {moved:.3f} m instead of {least:.3f} m"
+    text = f"the base moves by {moved:.3f} m instead of {needed:.3f} m"
     return f"{text}; its smallest distance to the arm is {nearest:.3f} m"
 
 
@@ -239,8 +243,7 @@ def line_from(
 ) -> Place | str:
     """A line by `find_place`, tested by `fault_of_run`, or the reason why there is none.
 
-    `job` has scenario, robot, border data and `anyway`, as for `find_place`. `on_progress` gets the
-    finished share.
+    `job` has scenario, robot, border data, `anyway` of `find_place`. `on_progress` is as there.
     """
     name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
