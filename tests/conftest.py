@@ -78,6 +78,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.flaky(reruns=2))
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print the failure of each test that ran again."""
+    for report in terminalreporter.stats.get("rerun", []):
+        terminalreporter.section(f"failed, ran again: {report.nodeid}")
+        terminalreporter.write_line(report.longreprtext)
+
+
 @contextmanager
 def _skip_without_pybullet() -> Generator[None]:
     """Skip a test that fails only because pybullet is not installed."""
