@@ -178,9 +178,9 @@ class RepulsionConfig(Strict):
 class BarrierConfig(Strict):
     """Barrier that keeps each pair at a minimum distance (controllers `dbb` and `barrier`)."""
 
-    d_min: float = number(0.031, 0.0, 0.30, "Minimum distance d_min")
-    """[m] minimum distance of each pair. The torque limits have priority over it."""
-    rate: float = number(30.0, 1.0, 100.0, "Approach rate")
+    d_min: float = number(0.031, 0.005, 0.15, "Minimum distance d_min")
+    """[m] minimum distance of each pair; torque limits have priority. Raise it only at rest."""
+    rate: float = number(30.0, 10.0, 40.0, "Approach rate")
     """[1/s] approach rate: largest approach speed divided by the distance beyond d_min."""
     max_separation_speed: float = number(0.15, 0.05, 2.0, "Separation speed", advanced=True)
     """[m/s] upper bound of the separation speed that the barrier demands of a pair below d_min,
@@ -242,7 +242,7 @@ class LimitConfig(Strict):
     velocity_rate: float = number(70.0, 1.0, 200.0, "Speed-limit rate", advanced=True)
     """[1/s] approach rate of speed limits: largest permitted joint acceleration divided by the
     difference of speed and limit."""
-    torque_rate: float = number(1000.0, 50.0, 1e6, "Torque slew rate", source="limit of a Panda")
+    torque_rate: float = number(1000.0, 600.0, 1e6, "Torque slew rate", source="limit of a Panda")
     """[N m/s] slew rate limit of the arm's torques; N/s for a prismatic joint. A Panda allows
     1000 N m/s."""
 
@@ -261,16 +261,16 @@ class EstimateConfig(Strict):
     noise_window: float = number(0.2, 0.01, 10.0, "Noise window", advanced=True)
     """[s] time window in which the noise of positions and velocities is estimated."""
     delay: float = number(0.0, 0.0, 0.03, "Known reading age", advanced=True)
-    """[s] known age of the readings at the start of a control step; with time stamps, the part of
-    this age that the stamps do not show. More than 24 control periods count as 24. The controller
-    also detects and compensates a larger age, up to 24 periods or, with time stamps, 0.1 s."""
+    """[s] known age of the readings at a step's start; with time stamps, the part that they do not
+    show. Above 24 control periods it counts as 24. Too large a value can make a guided arm too
+    fast. A larger true age is compensated too, up to 24 periods or, with time stamps, 0.1 s."""
 
 
 class PayloadConfig(Strict):
     """Known load in the gripper, as a point mass; the collision model does not include the load."""
 
     mass: float = number(0.0, 0.0, 20.0, "Payload mass")
-    """[kg] mass of the load."""
+    """[kg] mass of the load. With an absent load the arm rises, with a large mass too fast."""
     x: float = number(0.0, -1.0, 1.0, "Payload centre x", advanced=True)
     """[m] x coordinate of the centre of mass in the end-effector's frame."""
     y: float = number(0.0, -1.0, 1.0, "Payload centre y", advanced=True)

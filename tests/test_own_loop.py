@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 from app.border.cache import BorderData
-from app.config import Config, DisturbanceConfig
+from app.config import Config, DisturbanceConfig, parameter
 from app.control import CONTROLLERS, estimate
 from app.control.contract import JointOrder
 from app.control.controller import ControlLoop
@@ -526,7 +526,7 @@ def test_motion_by_another_controller_is_not_reported_as_lag(
     """The motion does not result from the torques of the watching loop at any delay."""
     moving, watching = (
         ControlLoop(robot, border_data, Config().changed({"barrier.rate": rate}))
-        for rate in (5.0, 20.0)
+        for rate in (10.0, 40.0)
     )
     plant, faults = Kinematic(robot), set()
     plant.reset(np.zeros(3), starts[FRONT])
@@ -1019,6 +1019,22 @@ def test_invalid_period_or_too_large_a_gain_for_it_is_refused(
     config = Config().changed({path: value} if path else {})
     with pytest.raises(ConfigError, match=named):
         ControlLoop(robot, border_data, config, dt=dt)
+
+
+@pytest.mark.parametrize("path", ["barrier.d_min", "barrier.rate", "limit.torque_rate"])
+@pytest.mark.parametrize("bound", ["low", "high"])
+def test_each_bound_of_a_parameter_can_be_set_during_a_pull(run, path: str, bound: str) -> None:
+    """At 0.3 s, a pull of 20 N starts to move the arm into the buffer."""
+    config, loops = Config().replace(path, getattr(parameter(path), bound)), list[ControlLoop]()
+
+    def configured(k: int, m: Measurement) -> Measurement:
+        if k == 300:
+            loops[0].configure(config)
+        return m
+
+    growing = [min(k / 100, 1.0) * np.array([-20.0, 5.0, -5.0]) for k in range(1500)]
+    found = run(configured, time=1.5, created=loops.append, pull=lambda k: growing[max(k - 100, 0)])
+    assert (found.share < 1.05, found.nearest > 0.0, found.faults) == (True, True, {})
 
 
 def test_refused_readings_do_not_use_up_the_reference(
