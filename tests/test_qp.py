@@ -250,7 +250,8 @@ def test_qp_is_solved_within_the_torque_limits_in_random_states(
             controller.state.update(m)
             at = controller.state.T_world_ee.copy()
             at.translation += 0.2 * rng.normal(size=3)
-            reference = Reference(at, rng.normal(size=6), rng.normal(size=6))
+            velocity = np.clip(rng.normal(size=6), -3.0, 3.0)  # below the bound of a reference
+            reference = Reference(at, velocity, rng.normal(size=6))
         output = controller.step(m, reference, base_acceleration=rng.uniform(-1, 1, 2))
         output.contradiction[...] = 0.0  # random states jump in each step
         assert output.solved

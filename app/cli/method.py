@@ -257,5 +257,4 @@ def bench(
             "project, call make run there, and then .venv/bin/dbb bench"
         ) from None
     model, data = load_robot_and_border(robot)
-    result = measure(model, data, seed=seed, border=not no_border, on_stage=say)
-    print_result(result, json=json)
+    print_result(measure(model, data, seed=seed, border=not no_border, on_stage=say), json=json)

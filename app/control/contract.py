@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from app.config import Config, sections
 from app.control.readings import EARLY, HISTORY, MAX_AGE
-from app.control.references import FASTEST, HARDEST
+from app.control.references import RUSH
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, did_you_mean
 from app.robot.model import RobotModel
@@ -20,6 +20,7 @@ from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
 _FLOAT = np.dtype(float)
+_FASTEST_JOINT = 20.0  # [rad/s, m/s] speed limit above which a joint counts as this fast
 _FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 1/s², and the period
 
 
@@ -157,15 +158,28 @@ def checked_reference(reference: Reference) -> Reference:
     )
 
 
-def no_motion(reference: Reference) -> MeasurementError:
-    """Build the error for a reference with an impossible value; the message has the reason."""
+def largest_speeds(model: RobotModel) -> Array:
+    """(6,) [m/s, rad/s] speeds of the end-effector, in the ready posture, at all speed limits."""
+    ready, base = np.array(model.description.arm.ready_position), model.description.base
+    q, data = model.configuration((0.0, 0.0, 0.0), ready), model.pin.createData()
+    J = pin.computeFrameJacobian(model.pin, data, q, model.ee_frame, pin.LOCAL_WORLD_ALIGNED)
+    limits = np.minimum([*np.abs(base.T) @ base.max_velocity, *model.qd_max], _FASTEST_JOINT)
+    return np.repeat((np.abs(J) @ limits).reshape(2, 3).max(axis=1), 3)
+
+
+def no_motion(reference: Reference, top: Array) -> MeasurementError:
+    """Build the error for an impossible reference, with the reason; `top`: `largest_speeds`."""
     pose, v, a = reference
     if not np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
         return MeasurementError("reference: an entry is not a finite number")
-    for name, values, most in (("velocity", v, FASTEST), ("acceleration", a, HARDEST)):
-        if (worst := float(np.abs(values).max())) > most:
+    for name, values, most in (("velocity", v, top), ("acceleration", a, top / RUSH)):
+        i = int(np.argmax(np.abs(values) / most))
+        if abs(values[i]) > most[i]:
+            unit, wrong = ("m", "mm") if i < 3 else ("rad", "deg")
+            per = "/s" if values is v else "/s²"
             return MeasurementError(
-                f"reference.{name}: {worst:g} is beyond {most:g}; send metres, radians and seconds"
+                f"reference.{name}[{i}]: {values[i]:g} {unit}{per} is beyond {most[i]:.3g}, "
+                f"a bound from the robot's speed limits; is it in {wrong}{per}?"
             )
     return MeasurementError(
         "reference.pose: its rotation is no rotation matrix (orthogonal, with determinant 1); "

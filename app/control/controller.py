@@ -22,7 +22,7 @@ from app.control.inputs import METHODS, gains_struct, largest_command, robot_str
 from app.control.qp import changed_by_proxqp, solved_by_proxqp
 from app.control.quantities import QUANTITIES, ControlStep
 from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, later_base
-from app.control.references import take_reference
+from app.control.references import is_motion, take_reference
 from app.control.tasks import Reference
 from app.errors import ConfigError, check_name
 from app.robot.bases.kind import BaseKind
@@ -33,7 +33,7 @@ from app.strict import Array
 
 logger = logging.getLogger(__name__)
 
-_take, _later = direct(take_reference), direct(later_base)
+_possible, _take, _later = direct(is_motion), direct(take_reference), direct(later_base)
 _estimate, _law = direct(algorithm.update_estimate), direct(algorithm.run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
@@ -65,6 +65,7 @@ class Controller:
             UnknownNameError, ConfigError, DescriptionError: As `ControlLoop`.
         """
         self._model, self._data, self._interpolate = model, data, interpolate
+        self._top = contract.largest_speeds(model)
         self.config = config
         """The parameters in use; `configure` changes them."""
         self.dt = contract.checked_period(dt)
@@ -76,8 +77,7 @@ class Controller:
         smooth = SmoothPoints(model, data.pairs.all)
         self._robot = robot_struct(model, data, smooth, self._distances)
         views = pinocchio_views(self.state.data) | {"signed": self._distances.signed}
-        sizes = _sizes(model, data, smooth)
-        self.last = ControlStep(sizes, views, data.pairs.all, smooth.rows)
+        self.last = ControlStep(_sizes(model, data, smooth), views, data.pairs.all, smooth.rows)
         """The table of quantities of the last step."""
         self.last.pinocchio = self.state.data, self._distances  # own the memory of the views
         self.state.share(self.last)
@@ -200,8 +200,9 @@ class Controller:
         if reference is not None:
             pose, v, a = reference = contract.checked_reference(reference)
             R, p = pose.rotation, pose.translation
-            if not _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate):
-                raise contract.no_motion(reference)
+            if not _possible(R, p, v, a, self._top):
+                raise contract.no_motion(reference, self._top)
+            _take(gains, w.struct, R, p, v, a, measurement.now, self._interpolate)
         base, velocity, q, qd, drive, now, time, base_time = measurement
         if base_time == base_time:  # advance the base's readings to the time of the joints'
             new = time == time and time != w.stamp
@@ -373,18 +374,17 @@ class ControlLoop:
 
     def _report(self, command: Command, measured: Measurement) -> None:
         """Log each fault of the readings once until `reset`."""
-        for name in command.faults:
-            if name not in self.reported:
-                self.reported.add(name)
-                dt, note = self.controller.dt, ""
-                if name == "lag":
-                    note = f" ({command.step.lag * dt * 1000:.0f} ms)"
-                elif name == "period":
-                    too_large = contract.too_large_gain(self.controller.config, dt)
-                    reason = f"; {too_large}" if too_large else ""
-                    note = f" ({dt * 1000:.2f} ms{reason})"
-                note += contract.rounding(measured, 0.5 * dt)
-                logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
+        dt = self.controller.dt
+        for name in [each for each in command.faults if each not in self.reported]:
+            self.reported.add(name)
+            note = ""
+            if name == "lag":
+                note = f" ({command.step.lag * dt * 1000:.0f} ms)"
+            elif name == "period":
+                reasons = f"{dt * 1000:.2f} ms", contract.too_large_gain(self.controller.config, dt)
+                note = f" ({'; '.join(filter(None, reasons))})"
+            note += contract.rounding(measured, 0.5 * dt)
+            logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:

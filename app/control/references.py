@@ -6,13 +6,15 @@ pose. At each sample a polynomial of fifth degree starts from the present motion
 It ends at the sample after two mean intervals, with the sample's own velocity, or with the mean
 velocity since the previous sample if the own velocity is 0 or does not match the poses. If its
 acceleration would exceed about `_LEAP`, the polynomial ends later, and beyond the sample along this
-velocity. Without a further sample the reference comes to rest at the last sample.
+velocity. Without a further sample the reference comes to rest at the last sample. If the second
+reference is a sample, the polynomial begins at rest, because no pose confirms the first velocity.
 
 The first sample after a pause, an outlier or noise can require more than the correction speed
 (`task.ee_speed`). The reference then approaches the sample within this speed and about `_LEAP`:
 each polynomial ends at rest, at the sample or on the way to it; in the second case each step starts
 a new polynomial. The first reference, and references without jumps while no polynomial lasts, are
-used unchanged. A repeated reference is no sample, and counts as a reference at rest.
+used unchanged, except for an acceleration that does not explain the change of the velocity. A
+repeated reference is no sample, and counts as a reference at rest.
 
 If a reading of the base's pose jumps, the reference in use is shifted with the end-effector, and
 the shift returns to 0 on a polynomial (`shift_reference`).
@@ -33,9 +35,8 @@ from app.control.readings import MAX_AGE, count_periods
 from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
 
-FASTEST, HARDEST = 20.0, 1000.0
-"""[m/s, rad/s; m/s², rad/s²] largest components of a reference; no arm reaches them."""
-_LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
+RUSH = 0.05  # [s] shortest time in which a reference can reach the end-effector's largest speed
+_LEAP = 10.0  # [m/s², rad/s²] largest acceleration that a reference does not have to explain
 _RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
 _OVERDUE = 1.75  # [-] mean intervals after which no further sample is expected
@@ -46,32 +47,32 @@ _ROUNDING = 1e-4  # [-] tolerance of a rotation matrix in single precision
 _LEAST_SHIFT = 1e-4  # [m or rad] smallest jump of the end-effector that shifts the reference
 _RETURN = 0.2  # [s] shortest duration of the return of a shifted reference
 
-_VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
+_VECTOR = types.Array(types.f8, 1, "A")
+_FIELDS = types.Array(types.f8, 2, "A"), _VECTOR, _VECTOR, _VECTOR  # of a `Reference`
 
 
-@compiled()
-def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether R (3, 3) is a rotation, p (3,) finite, |v_i| ≤ `FASTEST` and |a_i| ≤ `HARDEST`."""
-    slow = np.abs(v).max() <= FASTEST and np.abs(a).max() <= HARDEST  # not NaN
+@compiled(Signature(types.b1, (*_FIELDS, _VECTOR), None))
+def is_motion(R: Array, p: Array, v: Array, a: Array, top: Array) -> bool:
+    """Whether R (3, 3) is a rotation, p (3,) finite, |v_i| ≤ top_i and |a_i| ≤ top_i / `RUSH`."""
+    slow = (np.abs(v) <= top).all() and (np.abs(a) <= top / RUSH).all()  # not NaN
     if not (slow and math.isfinite(p.sum())):
         return False
-    for i in range(3):
+    for i in range(
+        3
+    ):  # a rotation matrix equals the matrix of its cofactors; of the others, 0 does
+        above, below = R[(i + 1) % 3], R[(i + 2) % 3]
         for j in range(3):
-            product = R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j]
-            if not abs(product - (1.0 if i == j else 0.0)) < _ROUNDING:
+            k, m = (j + 1) % 3, (j + 2) % 3
+            if not abs(above[k] * below[m] - above[m] * below[k] - R[i, j]) < _ROUNDING:
                 return False
-    x, y, z = R[:, 0], R[:, 1], R[:, 2]
-    volume = 0.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        volume += x[i] * (y[j] * z[k] - y[k] * z[j])
-    return volume > 0.0
+    return bool(np.abs(R).max() > 0.5)
 
 
 @compiled()
-def _leaps(way: Array, v: Array, time: float, dt: float) -> bool:
-    """Whether the velocity v (6,) does not explain the motion `way` (6,) in `time` [s]."""
-    return bool((np.abs(way - time * v) > _LEAP * max(time, dt) ** 2).any())
+def _leaps(change: Array, rate: Array, interval: float, dt: float, order: int) -> bool:
+    """Whether `rate` (6,) explains `change` (6,), of order 1 or 2, neither in `interval` nor dt."""
+    late = (np.abs(change - interval * rate) > _LEAP * max(interval, dt) ** order).any()
+    return bool(late and (np.abs(change - dt * rate) > _LEAP * dt**order).any())
 
 
 @compiled()
@@ -92,8 +93,7 @@ def _take_sample(gains: Any, w: Any, way: Array) -> None:
     mean = w.sample_interval[()] if w.sample_interval[()] > 0.0 else between
     w.sample_interval[()] = mean + _RATE * (between - mean)
     v = way / between
-    own = (w.v_sent**2).sum() > 0.0
-    own = own and ((w.v_sent - v) ** 2).sum() <= _OWN_SPEED**2 * (v**2).sum()
+    own = (w.v_sent != 0.0).any() and ((w.v_sent - v) ** 2).sum() <= _OWN_SPEED**2 * (v**2).sum()
     _aim(gains, w, w.v_sent if own else v)
 
 
@@ -118,10 +118,8 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
     w.way_capped[()] = 0.0
     if rests:
         goal -= (duration - steady) * v_end
-        duration, slowest = steady, _STEEPEST * top / _LEAP
-        duration = max(
-            duration, min(math.sqrt(6.0 * far / _LEAP), slowest), _STEEPEST * _largest(v) / _LEAP
-        )
+        shortest = min(math.sqrt(6.0 * far / _LEAP), _STEEPEST * top / _LEAP)
+        duration = max(steady, shortest, _STEEPEST * _largest(v) / _LEAP)
         within = duration * top / _PEAK
         if far > within:  # a later step aims again
             goal, w.way_capped[()] = goal * (within / far), 1.0
@@ -234,33 +232,32 @@ def _return_from(gains: Any, w: Any, moved: Array) -> None:
     put(w.shift[0], at)
 
 
-@compiled(
-    Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.f8, types.b1), None)
-)
+@compiled(Signature(types.void, (GAINS.type, STEP.type, *_FIELDS, types.f8, types.b1), None))
 def take_reference(
     gains: Any, w: Any, R: Array, p: Array, v: Array, a: Array, now: float, interpolate: bool
-) -> bool:
+) -> None:
     """Write the reference of this step into x_ref, v_ref and a_ref.
 
     The fields of the caller's `Reference` are R (3, 3) and p (3,) [m], v (6,) [m/s, rad/s] and
     a (6,) [m/s², rad/s²], linear above angular, in the world. `now` [s] is the time of the step, or
-    NaN. If `interpolate`, references that jump are interpolated. Returns whether the reference is a
-    possible motion (`_is_motion`); if it is not, nothing is written.
+    NaN. If `interpolate`, references that jump are interpolated.
     """
-    if not _is_motion(R, p, v, a):
-        return False
-    way, is_sample, interval, dt = np.zeros(6), False, now - w.clock[()], gains.dt
+    way, dt, interval = np.zeros(6), gains.dt, now - w.clock[()]
+    is_sample = surges = False
     time = count_periods(w, now, dt)[0] * dt
-    if not 0.0 < interval < MAX_AGE:  # NaN too
-        time = interval = dt
     follows = interpolate and not math.isnan(w.x_sent[3, 0])
+    if not (follows and 0.0 < interval < MAX_AGE):  # NaN too
+        time = interval = dt
     moved = (w.x_sent[:3] != R.T).any() or (w.x_sent[3] != p).any()
     rests = follows and not (moved or (w.v_sent != v).any() or (w.a_sent != a).any())
     if follows and not rests:
         way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
-        is_sample = _leaps(way, v, dt, dt) and _leaps(way, v, interval, dt)
+        is_sample = _leaps(way, v, interval, dt, 2)
+        surges = _leaps(v - w.v_sent, a, interval, dt, 1)
     if is_sample and w.way_duration[()] == 0.0:  # a polynomial continues the last reference
         put_rows(w.x_origin, w.x_sent)
+        if w.since_sample[()] <= dt:  # the last reference was the first: no pose confirms its speed
+            w.way[:] = 0.0
     put_rows(w.x_sent, R.T)
     put(w.x_sent[3], p)
     put(w.v_sent, v)
@@ -271,12 +268,10 @@ def take_reference(
     if w.way_duration[()] > 0.0:
         _continue_way(gains, w, time)
     if w.way_duration[()] == 0.0:
-        for k in range(6):
-            fill(w.way[k], 0.0)
+        w.way[:] = 0.0
         if not rests:
             put(w.way[1], v)
-            put(w.way[2], a / 2.0)
+            put(w.way[2], a * (0.0 if surges else 0.5))
         put_rows(w.x_ref, w.x_sent)
         put(w.v_ref, w.way[1])
         put(w.a_ref, 2.0 * w.way[2])
-    return True

@@ -315,8 +315,7 @@ def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach
     assumed if fewer than three joints move the body, or if its map or `best_fit` fails.
     """
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == model.body_names[0]]
-    found = workers.map(_reach_of, [(model, body) for body in bodies])
-    return zip(bodies, found, strict=True)
+    return zip(bodies, workers.map(_reach_of, [(model, body) for body in bodies]), strict=True)
 
 
 def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:

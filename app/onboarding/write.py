@@ -46,8 +46,7 @@ _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 def write_robot(robot: NewRobot, folder: Path) -> None:
     """Write and check the description, and write the list of sources; `folder` has the URDF."""
     title = f"{robot.content['title']}, from {robot.request.shown_source}"
-    text = description_text(robot.content, title)
-    write_whole(folder / "robot.toml", text)
+    write_whole(folder / "robot.toml", description_text(robot.content, title))
     load_description(folder / "robot.toml")
     write_whole(folder / "SOURCES.md", _sources_text(robot))
 

@@ -318,8 +318,7 @@ class BulletDoor(HeldDoor):
         rows = self._client.getConstraintState(self._grasp)
         if not rows:  # before the first step
             return Wrench(np.zeros(3), np.zeros(3))
-        R = self._tip_pose().rotation
-        return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
+        return Wrench(-np.array(rows[:3]), -self._tip_pose().rotation @ np.array(rows[3:]))
 
     def _com_pose(self, body: int, link: int) -> pin.SE3:
         """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""

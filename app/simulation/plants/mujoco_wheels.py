@@ -135,8 +135,7 @@ class MujocoWheels(Physics):
         self._phi = phi = self._phi + math.remainder(_heading(R) - self._phi, math.tau)
         forward = math.cos(phi) * v[0] + math.sin(phi) * v[1]
         velocity = np.array([forward, float(R[2] @ v[3:6])])
-        pose = np.array([q[0], q[1], phi])
-        return Measurement(pose, velocity, q[world.arm_q], v[world.arm_v])
+        return Measurement(np.array([q[0], q[1], phi]), velocity, q[world.arm_q], v[world.arm_v])
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()

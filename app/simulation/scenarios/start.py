@@ -358,8 +358,7 @@ def find_grasp(
     further angles while the base moves back. `base_pose` is x, y [m] and heading [rad], `angle`
     [rad] the opening angle. If the search finds no posture, this raises an UnreachableError.
     """
-    search = _GraspSearch(model, pairs, d_b)
-    q_m, T_ee = search.grasp(np.array(base_pose), door, angle, seed)
+    q_m, T_ee = _GraspSearch(model, pairs, d_b).grasp(np.array(base_pose), door, angle, seed)
     return frozen(q_m), T_ee
 
 

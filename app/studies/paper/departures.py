@@ -54,8 +54,7 @@ def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> Cont
     """The first control step at rest at a posture (n_m,), for a resting reference `error` [m] above
     the end-effector's pose; the next step overwrites the result.
     """
-    model = controller.state.model
-    measured = at_rest(model, q_m)
+    measured = at_rest(controller.state.model, q_m)
     controller.state.update(measured)
     T = controller.state.T_world_ee.copy()
     T.translation[2] += error
