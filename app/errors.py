@@ -1,7 +1,7 @@
 """The exceptions below `DbbError`, each with a one-line text, and functions for these texts."""
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from traceback import walk_tb
 
@@ -19,21 +19,33 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
+def shown(value: object) -> str:
+    """A value as Python writes it, in at most 60 characters; an array as a list."""
+    try:
+        return cut(repr(value.tolist() if getattr(value, "ndim", 0) else value))  # type: ignore[attr-defined]
+    except Exception:  # an integer is too long, lists nest too deeply, or `__repr__` has an error
+        return f"a {type(value).__name__} that cannot be shown"
+
+
+def cut(text: str) -> str:
+    """The text, or the beginning of a text with more than 60 characters."""
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
 class UnknownNameError(DbbError):
-    """A name (robot, scenario, controller, pair, …) that does not exist."""
+    """A name (robot, scenario, controller, pair, …) that does not exist, or that is no text."""
 
-    def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: object, choices: Iterable[str]) -> None:
         self.choices = sorted(choices)
-        super().__init__(
-            f"unknown {kind} {name!r}{did_you_mean(name, self.choices)}; "
-            f"choose from: {', '.join(self.choices) or '(none)'}"
-        )
+        known = ", ".join(self.choices) or "(none)"
+        hint = did_you_mean(name, self.choices) if isinstance(name, str) else ""
+        super().__init__(f"unknown {kind} {shown(name)}{hint}; choose from: {known}")
 
 
-def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
+def check_name(kind: str, name: str, choices: Collection[str]) -> None:
     """Raise an UnknownNameError if `name`, of a `kind` such as `robot`, is not in `choices`."""
-    if name not in (existing := tuple(choices)):
-        raise UnknownNameError(kind, name, existing)
+    if not isinstance(name, str) or name not in choices:
+        raise UnknownNameError(kind, name, choices)
 
 
 class DescriptionError(DbbError):

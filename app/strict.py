@@ -16,7 +16,7 @@ from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, ValidationError,
 from pydantic_core import ErrorDetails
 from typing_extensions import Self
 
-from app.errors import ConfigError, did_you_mean
+from app.errors import ConfigError, cut, did_you_mean, shown
 from app.jobs.bounded import SMALL, within_budget
 
 if sys.version_info >= (3, 11):
@@ -116,25 +116,14 @@ def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidTex
         return text
     if isinstance(problem["input"], str) and problem["type"].startswith(("float", "int")):
         text += ", a number without quotes"
-    return f"{path}: {text} (was {_short(problem['input'])})"
+    return f"{path}: {text} (was {shown(problem['input'])})"
 
 
 def _path(loc: Place) -> str:
     text = ""
     for part in loc:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return _cut(text) or "(whole file)"
-
-
-def _short(value: object) -> str:
-    try:
-        return _cut(repr(value.tolist() if isinstance(value, np.ndarray) else value))
-    except (ValueError, RecursionError):  # an integer is too long, or lists nest too deeply
-        return "too large to be shown"
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= 60 else text[:57] + "…"
+    return cut(text) or "(whole file)"
 
 
 def _followed(model: type[BaseModel], loc: Place) -> tuple[list[type[BaseModel]], Place]:
@@ -216,7 +205,7 @@ def _quoted(error: ValueError, text: str) -> str:
         return ""
     before = text[: getattr(error, "pos", 0)].rstrip()
     comma = "; take away the comma before it" * before.endswith(",")
-    return f": {_cut(repr(lines[int(found[1]) - 1].strip(' ')))}{comma}"
+    return f": {cut(repr(lines[int(found[1]) - 1].strip(' ')))}{comma}"
 
 
 _PLACEHOLDERS = (

@@ -405,7 +405,7 @@ def test_a_barrier_is_active_exactly_if_its_row_is_at_its_bound(robot, controlle
 def test_an_unsolved_step_is_reported_with_its_near_pairs(robot, dbb):
     dbb.reset()
     dbb.configure(AT_ONCE)
-    output = dbb.step(near(robot, "lm-lEE", 0), base_acceleration=np.full(2, np.nan))
+    output = dbb.step(near(robot, "lm-lEE", 0), base_acceleration=np.full(2, 1e308))
     why = explain(dbb, output, AT_ONCE, REST)
     assert not why.solved
     assert np.isnan(output.qdd).all()

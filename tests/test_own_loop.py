@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -15,8 +16,8 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config, DisturbanceConfig, parameter
 from app.control import CONTROLLERS, estimate
-from app.control.contract import JointOrder
-from app.control.controller import ControlLoop
+from app.control.contract import JointOrder, rounding
+from app.control.controller import Controller, ControlLoop
 from app.control.inputs import gains_struct
 from app.control.quantities import ControlStep
 from app.control.readings import (
@@ -28,7 +29,7 @@ from app.control.readings import (
     count_periods,
 )
 from app.control.tasks import Reference
-from app.errors import ConfigError, MeasurementError
+from app.errors import ConfigError, MeasurementError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
 from app.simulation.people import Hold
@@ -926,6 +927,14 @@ def test_time_in_single_precision_is_refused_or_reported_by_its_name(
     assert found.faults or found.share < 1.05
 
 
+@pytest.mark.parametrize(("now", "age"), [(5e9, 1e3), (5e9, 100.0), (7e6, 0.0), (7e7, np.nan)])
+def test_clock_in_microseconds_is_no_time_in_single_precision(
+    robot: RobotModel, now: float, age: float
+) -> None:
+    m = ready(robot)._replace(now=now, time=now - age)
+    assert ("float32" in rounding(m, 5e-4)) == (age == 100.0)  # the only age that 512 s can explain
+
+
 @pytest.mark.parametrize("age", [0.3, -0.1])
 def test_odometry_that_is_too_old_or_later_than_the_step_is_not_used(run, age: float) -> None:
     found = run(odometry(0, 1, age), time=0.5)
@@ -1007,10 +1016,12 @@ def test_driver_that_ends_at_rest_is_reported_by_its_time_stamps(run) -> None:
 @pytest.mark.parametrize(
     ("dt", "path", "value", "named"),
     [
-        (1.0, "", 0.0, "dt must be between"),
-        (float("nan"), "", 0.0, "dt must be between"),
+        (1.0, "", 0.0, "dt must be a float from 0.0001 to 0.02 s"),
+        (float("nan"), "", 0.0, "dt must be a float from"),
         (0.008, "task.ee_damping", 150.0, "task.ee_damping = 150"),
         (0.004, "limit.velocity_rate", 200.0, "limit.velocity_rate = 200"),
+        (0.02, "", 0.0, "limit.velocity_rate = 70 .*at most 30, or the period at most 8.57 ms"),
+        (0.0086, "", 0.0, "limit.velocity_rate = 70 .*at most 69.7, or the period at most 8.57"),
     ],
 )
 def test_invalid_period_or_too_large_a_gain_for_it_is_refused(
@@ -1019,6 +1030,7 @@ def test_invalid_period_or_too_large_a_gain_for_it_is_refused(
     config = Config().changed({path: value} if path else {})
     with pytest.raises(ConfigError, match=named):
         ControlLoop(robot, border_data, config, dt=dt)
+    assert ControlLoop(robot, border_data, dt=0.00857).controller.dt == 0.00857
 
 
 @pytest.mark.parametrize("path", ["barrier.d_min", "barrier.rate", "limit.torque_rate"])
@@ -1634,18 +1646,70 @@ def test_start_of_a_resting_arm_with_a_slow_driver_is_no_jump(
         assert "jump" not in loop.step(read).faults, k
 
 
+class Tensor:
+    """A tensor whose conversion raises an exception of its own, as one that requires a gradient."""
+
+    def __array__(self, *_: Any, **__: Any) -> Array:
+        raise RuntimeError("can't call numpy()")
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no text")
+
+
+STAMP = SimpleNamespace(sec=5, nanosec=7)
+TIMES = (np.timedelta64(1, "ms"), datetime(2026, 1, 1), STAMP, "0.001", [0.001], True, Tensor())
+SECONDS = "must be seconds as a float, was"
+WRONG_ARGUMENTS = [
+    *(("dt", value, "dt must be a float from") for value in (*TIMES, None, 10**400)),
+    *(("interpolate", value, "interpolate must be True or False") for value in ("no", None, 1)),
+    *(("name", value, "unknown controller") for value in (None, 3, np.zeros(2), Tensor())),
+    *(("use", value, "unknown controller") for value in (None, 3, ["dbb"])),
+    *(("model", value, "model must be a RobotModel") for value in (None, "husky_panda")),
+    *(("data", value, "data must be a BorderData") for value in (Config(), {})),
+    *(("config", value, "config must be a Config") for value in ({"border.d_b": 0.1}, "my.toml")),
+    *(("configure", value, "config must be a Config") for value in (None, {"border.d_b": 0.1})),
+    *(("now", value, f"measurement.now {SECONDS}") for value in (*TIMES, 10**400)),
+    ("time", STAMP, rf"measurement.time {SECONDS} namespace\(sec=5, nanosec=7\)"),
+    ("now", 1.7e18, r"measurement.now must be seconds, not nanoseconds, was 1.7e\+18"),
+    ("q_m", Tensor(), r"measurement.q_m must be 7 numbers, was a Tensor .*\(can't call numpy"),
+    ("qd_m", list(range(9999)), r"measurement.qd_m must be 7 numbers, was \[0, 1, [0-9, ]*…"),
+    ("velocity", Tensor(), "reference.velocity must be 6 numbers"),
+    ("acceleration", np.full(6, np.inf), "reference.acceleration must be finite numbers"),
+    ("base_acceleration", np.zeros(3), "base_acceleration must be 2 numbers, was"),
+    ("base_acceleration", [np.nan, 0.0], r"base_acceleration must be finite numbers, was \[nan"),
+    ("base_acceleration", Tensor(), "base_acceleration must be 2 numbers, was"),
+    ("joint_order", np.array("joint"), "must be a list of the driver's joints"),
+]
+
+
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda robot: ControlLoop(robot, Config()),
-        lambda robot: ControlLoop(robot.description),
-        lambda robot: ControlLoop(robot).configure({"border.d_b": 0.1}),
-        lambda robot: ControlLoop(robot, None, "my.toml"),
-    ],
+    ("argument", "value", "named"), WRONG_ARGUMENTS, ids=[f"{a}-{n}" for a, _, n in WRONG_ARGUMENTS]
 )
-def test_argument_of_a_wrong_type_is_refused_by_name(robot: RobotModel, wrong: Any) -> None:
-    with pytest.raises(ConfigError, match=r"BorderData or None; was|config must be a Config"):
-        wrong(robot)
+def test_wrong_argument_has_one_error_that_names_it(
+    robot: RobotModel, border_data: BorderData, argument: str, value: Any, named: str
+) -> None:
+    loop, given = ControlLoop(robot, border_data), {argument: value}
+    m = ready(robot)._replace(now=1.0)
+    rest = Reference(pin.SE3.Identity(), np.zeros(6), np.zeros(6))
+    arguments = {"model": robot, "data": border_data} | given
+    calls: tuple[Callable[[], Any], ...] = {
+        "use": (lambda: loop.controller.use(value),),
+        "configure": (lambda: loop.configure(value),),
+        "joint_order": (lambda: loop.joint_order(value),),
+        "base_acceleration": (lambda: loop.controller.step(m, **given),),
+        **dict.fromkeys(Reference._fields, (lambda: loop.step(m, rest._replace(**given)),)),
+        **dict.fromkeys(Measurement._fields, (lambda: loop.step(m._replace(**given)),)),
+    }.get(argument, (lambda: ControlLoop(**arguments), lambda: Controller(**arguments)))
+    for call in calls:
+        with pytest.raises((ConfigError, MeasurementError, UnknownNameError), match=named) as error:
+            call()
+        assert len(str(error.value)) < 250
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
+def test_loop_refuses_to_be_copied(robot: RobotModel, border_data: BorderData, copied) -> None:
+    with pytest.raises(ConfigError, match="create one in each process"):
+        copied(ControlLoop(robot, border_data))
 
 
 def test_load_is_set_atomically(robot: RobotModel) -> None:

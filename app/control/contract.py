@@ -2,33 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from decimal import ROUND_DOWN, Context
 from itertools import chain
-from numbers import Real
 
 import numpy as np
 import pinocchio as pin
 
+from app.border.cache import BorderData
 from app.config import Config, sections
 from app.control.readings import EARLY, HISTORY, MAX_AGE
 from app.control.references import RUSH
 from app.control.tasks import Reference
-from app.errors import ConfigError, MeasurementError, did_you_mean
+from app.errors import ConfigError, MeasurementError, did_you_mean, shown
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, numbers, velocities
+from app.robot.state import Measurement, numbers, real, velocities
 from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
 _FLOAT = np.dtype(float)
 _FASTEST_JOINT = 20.0  # [rad/s, m/s] speed limit above which a joint counts as this fast
 _FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 1/s², and the period
+_POWERS = {"1/s": 1, "1/s²": 2}
+_down = Context(prec=3, rounding=ROUND_DOWN).create_decimal_from_float
 
 
 def checked_period(dt: float) -> float:
     """The control period dt [s] as a float; a ConfigError outside of `SHORTEST` to `LONGEST`."""
-    if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
-        raise ConfigError(f"dt must be between {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
-    return float(dt)
+    if not SHORTEST <= (found := real(dt)) <= LONGEST:
+        raise ConfigError(f"dt must be a float from {SHORTEST:g} to {LONGEST:g} s, was {shown(dt)}")
+    return found
+
+
+def check_types(model: RobotModel, data: BorderData | None, interpolate: bool) -> None:
+    """Raise a ConfigError if an argument of the controller has a wrong type."""
+    for name, value, kinds, form in (
+        ("model", model, RobotModel, "a RobotModel, such as RobotModel(load_robot('husky_panda'))"),
+        ("data", data, BorderData | None, "a BorderData or None"),
+        ("interpolate", interpolate, bool | np.bool_, "True or False"),
+    ):
+        if not isinstance(value, kinds):
+            raise ConfigError(f"{name} must be {form}, was {shown(value)}")
 
 
 def check_gains(config: Config, dt: float) -> None:
@@ -43,22 +57,21 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def too_large_gain(config: Config, dt: float) -> str:
-    """A message about the first gain that is too large for a control period dt [s], or no text.
-
-    The message states the upper bound of this gain, and that of dt for its present value.
-    """
+    """A message about the gain that needs the shortest period if this is below dt [s], or ""."""
+    strictest = 0.0, "", 0.0, ""  # rate [1/s], path, value and unit of a gain
     for each in chain.from_iterable(section.tunables for section in sections()):
-        if each.unit not in ("1/s", "1/s²") or each.path == "estimate.velocity_noise":
-            continue
-        value, power = float(config.value(each.path)), 2 if each.unit == "1/s²" else 1
-        rate = value ** (1.0 / power)
-        if rate * dt > _FASTEST:
-            return (
-                f"{each.path} = {value:g} {each.unit} is too large for a control period of "
-                f"{dt * 1000:g} ms: the gain must be at most {(_FASTEST / dt) ** power:.3g}, "
-                f"or the period at most {_FASTEST / rate * 1000:.2g} ms"
-            )
-    return ""
+        if each.unit in _POWERS and each.path != "estimate.velocity_noise":
+            value = float(config.value(each.path))
+            rate = value ** (1.0 / _POWERS[each.unit])
+            strictest = max(strictest, (rate, each.path, value, each.unit))
+    rate, path, value, unit = strictest
+    if rate * dt <= _FASTEST:
+        return ""
+    most, longest = _down((_FASTEST / dt) ** _POWERS[unit]), _down(1000.0 * _FASTEST / rate)
+    return (
+        f"{path} = {value:g} {unit} is too large for a control period of {dt * 1000:g} ms: the "
+        f"gain must be at most {most:f}, or the period at most {longest:f} ms"
+    )
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
@@ -84,11 +97,17 @@ def clocks_differ(measurement: Measurement) -> MeasurementError:
 
 
 def rounding(measurement: Measurement, dt: float) -> str:
-    """A note if single precision has rounded a time to multiples of more than dt [s], else ""."""
-    for name in ("now", "time", "base_time"):
-        value = np.float32(getattr(measurement, name))
-        step = float(np.spacing(value))
-        if step > dt and getattr(measurement, name) == float(value):
+    """A note if single precision has rounded a time to multiples of more than dt [s], else "".
+
+    Smaller whole numbers than a UNIX time are rather a clock in ms or µs, and so is a large age.
+    """
+    times = {name: np.float64(getattr(measurement, name)) for name in ("now", "time", "base_time")}
+    for name, value in times.items():
+        step = float(np.spacing(np.float32(value)))
+        other = abs(times["now"] - times["time"]) > step + MAX_AGE or (
+            step < 128.0 and value % 1 == 0
+        )
+        if step > dt and value == np.float32(value) and not other:
             return f" (measurement.{name} seems to be a float32, which resolves only {step:.2g} s)"
     return ""
 
@@ -105,11 +124,12 @@ class JointOrder:
 
     def __init__(self, model: RobotModel, names: Sequence[str]) -> None:
         """Find the arm's joints in the `names` of a driver; errors as `ControlLoop.joint_order`."""
-        if isinstance(names, (str, set, frozenset)) or not isinstance(names, Iterable):
-            raise MeasurementError(
-                f"joint states: the names must be a list of the driver's joints, were {names!r}"
-            )
-        wanted, names = model.description.arm.joints, [str(each) for each in names]
+        try:
+            assert not isinstance(names, str | bytes | set | frozenset)
+            wanted, names = model.description.arm.joints, [str(each) for each in names]
+        except Exception:  # `names` can be no iterable, or its iterator can raise any exception
+            text = f"the names must be a list of the driver's joints, were {shown(names)}"
+            raise MeasurementError(f"joint states: {text}") from None
         for fault, count in (("does not name", 0), ("names more than once", 2)):
             if wrong := [each for each in wanted if min(names.count(each), 2) == count]:
                 raise MeasurementError(
@@ -136,10 +156,7 @@ class JointOrder:
 
 
 def checked_reference(reference: Reference) -> Reference:
-    """The reference with arrays of floats.
-
-    Another type than `Reference`, or a field of a wrong type or shape, raises a MeasurementError.
-    """
+    """The reference with arrays of floats; a MeasurementError for a wrong type or shape."""
     if not isinstance(reference, Reference):
         raise MeasurementError(
             "reference must be a Reference(pose, velocity, acceleration) or None, was "
@@ -170,8 +187,9 @@ def largest_speeds(model: RobotModel) -> Array:
 def no_motion(reference: Reference, top: Array) -> MeasurementError:
     """Build the error for an impossible reference, with the reason; `top`: `largest_speeds`."""
     pose, v, a = reference
-    if not np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
-        return MeasurementError("reference: an entry is not a finite number")
+    poses = ("pose.translation", pose.translation), ("pose.rotation", pose.rotation.ravel())
+    for name, values in *poses, ("velocity", v), ("acceleration", a):
+        numbers(f"reference.{name}", values, len(values), finite=True)
     for name, values, most in (("velocity", v, top), ("acceleration", a, top / RUSH)):
         i = int(np.argmax(np.abs(values) / most))
         if abs(values[i]) > most[i]:

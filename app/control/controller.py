@@ -7,7 +7,7 @@ A step calls the compiled functions `take_reference` (with a reference), `update
 
 import logging
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from app.errors import ConfigError, check_name
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState, checked, compute_dynamics, pinocchio_views
+from app.robot.state import Measurement, RobotState, checked, compute_dynamics, numbers
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
@@ -50,33 +50,31 @@ class Controller:
     def __init__(
         self,
         model: RobotModel,
-        data: BorderData,
-        config: Config,
+        data: BorderData | None = None,
+        config: Config | None = None,
         *,
         name: str = "dbb",
         dt: float = 0.001,
         interpolate: bool = False,
     ) -> None:
-        """Prepare the controller `name`, one of `CONTROLLERS`, with the control period dt [s].
-
-        If `interpolate`, references that jump are interpolated (`app.control.references`).
-
-        Raises:
-            UnknownNameError, ConfigError, DescriptionError: As `ControlLoop`.
-        """
-        self._model, self._data, self._interpolate = model, data, interpolate
-        self._top = contract.largest_speeds(model)
-        self.config = config
+        """Prepare the controller; arguments and errors as `ControlLoop`."""
+        contract.check_types(model, data, interpolate)
+        check_name("controller", name, CONTROLLERS)
+        self.config = model.description.config if config is None else config
         """The parameters in use; `configure` changes them."""
         self.dt = contract.checked_period(dt)
         """[s] the control period: the stated one, or the measured one after the fault `period`."""
+        contract.check_gains(self.config, self.dt)
+        data = data or load_border_data(model)
+        self._model, self._data, self._interpolate = model, data, bool(interpolate)
+        self._top = contract.largest_speeds(model)
         self._base = model.description.base
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
         """The robot's estimated state in the last step with `valid` readings."""
         smooth = SmoothPoints(model, data.pairs.all)
         self._robot = robot_struct(model, data, smooth, self._distances)
-        views = pinocchio_views(self.state.data) | {"signed": self._distances.signed}
+        views = self.state.views | {"signed": self._distances.signed}
         self.last = ControlStep(_sizes(model, data, smooth), views, data.pairs.all, smooth.rows)
         """The table of quantities of the last step."""
         self.last.pinocchio = self.state.data, self._distances  # own the memory of the views
@@ -89,13 +87,11 @@ class Controller:
         self._own_commands = kind.admissible is not BaseKind.admissible
         self.reset()
 
-    def use(self, name: str) -> None:
-        """Use a different controller from the next step on.
+    def __reduce__(self) -> NoReturn:
+        raise ConfigError("a controller cannot be copied or pickled: create one in each process")
 
-        Raises:
-            UnknownNameError: The controller does not exist.
-            ConfigError: The control period in use, possibly a measured one, is too long for a gain.
-        """
+    def use(self, name: str) -> None:
+        """Use a different controller from the next step on; errors as `ControlLoop`."""
         check_name("controller", name, CONTROLLERS)
         self.name = name
         self.configure(self.config)
@@ -108,7 +104,7 @@ class Controller:
         the payload is subtracted from the detected loads.
 
         Raises:
-            ConfigError: `config` is not a `Config`, or the control period is too long for a gain.
+            ConfigError: `config` is not a `Config`, or a gain is too large for the period `dt`.
         """
         contract.check_gains(config, self.dt)
         border, load, w = config.border, config.payload, self.last
@@ -126,9 +122,8 @@ class Controller:
         self._set_gains()
 
     def _set_gains(self) -> None:
-        config, model = self.config, self._model
-        self._gains = gains_struct(config, model, self.name, self.dt)
-        self._slow = gains_struct(slowed(config), model, self.name, self.dt)
+        self._gains = gains_struct(self.config, self._model, self.name, self.dt)
+        self._slow = gains_struct(slowed(self.config), self._model, self.name, self.dt)
 
     def reset(self) -> None:
         """Start again: the next reading is the initial state, and the base's command starts at 0.
@@ -167,13 +162,14 @@ class Controller:
             arm's QP or the hierarchy of `hqp` has no solution (docs/own_loop.md).
 
         Raises:
-            MeasurementError: A reading or the reference has a wrong type or number of entries, the
-                reference is not a possible motion, a joint of the first reading is far outside of
+            MeasurementError: An argument has a wrong type or number of entries, the reference or
+                `base_acceleration` is not possible, a joint of the first reading is far outside of
                 its position limits, or the first reading's time stamp is too far from `now`.
         """
         if base_acceleration is None:
             return self._step(measurement, reference, algorithm.BASE_AS_COMMANDED)
-        self.last.a_base_meas[:] = base_acceleration
+        n_b = self._model.n_b
+        self.last.a_base_meas[:] = numbers("base_acceleration", base_acceleration, n_b, finite=True)
         return self._step(measurement, reference, algorithm.BASE_MEASURED)
 
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
@@ -316,19 +312,7 @@ class ControlLoop:
             DescriptionError: The description has no reachability of a body of the arm that can meet
                 the base, or the base is too large for a border.
         """
-        if not (isinstance(model, RobotModel) and isinstance(data, BorderData | None)):
-            raise ConfigError(
-                "ControlLoop needs a RobotModel, such as RobotModel(load_robot('husky_panda')), "
-                f"and BorderData or None; was {type(model).__name__}, {type(data).__name__}"
-            )
-        self.controller = Controller(
-            model,
-            data or load_border_data(model),
-            model.description.config if config is None else config,
-            name=name,
-            dt=dt,
-            interpolate=interpolate,
-        )
+        self.controller = Controller(model, data, config, name=name, dt=dt, interpolate=interpolate)
         """Algorithm 2."""
         self.reported: set[str] = set()
         """Names of all faults of the readings since `reset`."""
@@ -350,21 +334,13 @@ class ControlLoop:
         self.reported.clear()
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on.
-
-        Raises:
-            ConfigError: `config` is not a `Config`, or a gain is too large for the control period.
-        """
+        """Use other parameters from the next step on; errors as `Controller.configure`."""
         self.controller.configure(config)
 
     def step(self, measured: Measurement, reference: Reference | None = None) -> Command:
-        """Compute the commands of one control step.
+        """Compute the commands of one control step; errors as `Controller.step`.
 
-        `reference` is the desired motion of the end-effector, or None while a person guides the
-        arm.
-
-        Raises:
-            MeasurementError: As `Controller.step`.
+        `reference` is the desired motion of the end-effector; None while a person guides the arm.
         """
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
@@ -374,26 +350,24 @@ class ControlLoop:
 
     def _report(self, command: Command, measured: Measurement) -> None:
         """Log each fault of the readings once until `reset`."""
-        dt = self.controller.dt
-        for name in [each for each in command.faults if each not in self.reported]:
-            self.reported.add(name)
-            note = ""
-            if name == "lag":
-                note = f" ({command.step.lag * dt * 1000:.0f} ms)"
-            elif name == "period":
-                reasons = f"{dt * 1000:.2f} ms", contract.too_large_gain(self.controller.config, dt)
-                note = f" ({'; '.join(filter(None, reasons))})"
-            note += contract.rounding(measured, 0.5 * dt)
-            logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
+        for name in command.faults:
+            if name not in self.reported:
+                self.reported.add(name)
+                dt, note = self.controller.dt, ""
+                if name == "lag":
+                    note = f" ({command.step.lag * dt * 1000:.0f} ms)"
+                elif name == "period":
+                    reason = contract.too_large_gain(self.controller.config, dt)
+                    note = f" ({dt * 1000:.2f} ms{reason and '; '}{reason})"
+                note += contract.rounding(measured, 0.5 * dt)
+                logger.warning("readings, %s: %s%s", name, FAULTS[name], note)
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:
     """The value of each dimension in `quantities.DIMENSIONS`."""
     pairs, mobile, rows = len(data.pairs.all), len(data.pairs.mobile), len(smooth.arrays["sought"])
     return {
-        "n": model.n,
-        "n_b": model.n_b,
-        "n_m": model.n_m,
+        **{name: getattr(model, name) for name in ("n", "n_b", "n_m")},
         "n_j": model.pin.njoints,
         "n_q": model.pin.nq,
         "n_v": model.pin.nv,

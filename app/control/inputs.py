@@ -162,12 +162,9 @@ def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:
 
 def _contiguous(values: Any, fields: Mapping[str, Any]) -> Any:
     """Convert each field: arrays to contiguous arrays, numbers to the type in the struct."""
-    kinds = {types.f8: float, types.i8: int, types.b1: bool}
-    return values._replace(
-        **{
-            name: kinds[kind](value)
-            if kind in kinds
-            else np.ascontiguousarray(value, dtype=int if kind in (_INTS, _TABLE) else float)
-            for (name, kind), value in zip(fields.items(), values, strict=True)
-        }
-    )
+    numbers, found = {types.f8: float, types.i8: int, types.b1: bool}, list[Any]()
+    for kind, value in zip(fields.values(), values, strict=True):
+        entry = int if kind in (_INTS, _TABLE) else float
+        made = numbers[kind](value) if kind in numbers else np.ascontiguousarray(value, dtype=entry)
+        found.append(made)
+    return values._make(found)

@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
 from app.compiled import compiled, direct
-from app.errors import MeasurementError
+from app.errors import MeasurementError, shown
 from app.robot.model import RobotModel
 from app.strict import Array
 
@@ -50,19 +50,30 @@ class Measurement(NamedTuple):
     """[s] time at which the base's pose and velocity were measured; NaN: at the joints' time."""
 
 
-def numbers(name: str, values: Any, *sizes: int) -> Array:
+def numbers(name: str, values: Any, *sizes: int, finite: bool = False) -> Array:
     """An array of floats from a caller's values; masked values become NaN.
 
-    Raises a MeasurementError if they are not real numbers, or their count is not in `sizes`.
+    Raises a MeasurementError if they are not real or `finite`, or their count is not in `sizes`.
     """
+    found, reason = None, ""
     try:
-        found = np.asarray(np.ma.filled(values, np.nan))
-        found = found.astype(float, casting="same_kind", copy=False)
-    except (TypeError, ValueError):
-        found = None
+        found = np.asarray(np.ma.filled(values, np.nan)).astype(float, "K", "same_kind", copy=False)
+    except Exception as error:  # such as torch's error about a tensor that requires grad
+        reason = f" ({error})"
     if found is None or found.shape not in [(size,) for size in sizes]:
-        raise MeasurementError(f"{name} must be {sizes[0]} numbers, was {values!r}")
+        raise MeasurementError(f"{name} must be {sizes[0]} numbers, was {shown(values)}{reason}")
+    if finite and not np.isfinite(found).all():
+        raise MeasurementError(f"{name} must be finite numbers, was {shown(found)}")
     return found
+
+
+def real(value: Any) -> float:
+    """A real number as a float; infinite for another type, and if the conversion fails."""
+    try:
+        is_real = isinstance(value, Real) and not isinstance(value, bool | np.timedelta64)
+        return float(value) if is_real else math.inf
+    except Exception:  # an integer is too large, or a class has an error
+        return math.inf
 
 
 def velocities(name: str, values: Any, size: int) -> Array:
@@ -115,10 +126,10 @@ def _seconds(name: str, value: Any) -> float:
     if isinstance(value, np.floating) and value.itemsize < 8:
         coarse = f"{value.dtype} resolves only {np.spacing(value):.2g} s at {value:g} s"
         raise MeasurementError(f"measurement.{name} must be a float of 64 bits: {coarse}")
-    found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.inf
+    found = real(value)
     if abs(found) >= _LATEST:
-        text = f"must be seconds (not nanoseconds), was {value!r}"
-        raise MeasurementError(f"measurement.{name} {text}")
+        form = "seconds as a float" if math.isinf(found) else "seconds, not nanoseconds"
+        raise MeasurementError(f"measurement.{name} must be {form}, was {shown(value)}")
     return found
 
 
@@ -452,9 +463,9 @@ class RobotState:
         self.model = model
         self.data = model.pin.createData()
         # These are views of pinocchio's memory, because reading them again takes longer.
-        root, views = self.data.oMi[1], pinocchio_views(self.data)
-        self.R_world_base, self.p_o, self._J = root.rotation, root.translation, views["J_pin"]
-        self._dynamics = views["M_pin"], views["h_pin"], self._J, views["Y_pin"]
+        root, self.views = self.data.oMi[1], pinocchio_views(self.data)
+        self.R_world_base, self.p_o, self._J = root.rotation, root.translation, self.views["J_pin"]
+        self._dynamics = self.views["M_pin"], self.views["h_pin"], self._J, self.views["Y_pin"]
         self.pin, self._factor, self._load = model.pin, 1.0, pin.Inertia.Zero()
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
         self._shared = False
