@@ -111,8 +111,6 @@ def checked_host(name: str) -> str:
     except UnicodeError:  # a label is empty or too long
         host = ""
     if not _HOST.fullmatch(host):
-        raise ConfigError(
-            f"{name!r} is not the name of a host; write the name without http://, port and path, "
-            "such as robot.local"
-        )
+        helps = "write the name without http://, port and path, such as robot.local"
+        raise ConfigError(f"{name!r} is not the name of a host; {helps}")
     return host

@@ -213,6 +213,7 @@ _PLACEHOLDERS = (
     (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
     (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
     (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
+    (rb"(<\?xml[^>]*>\s*)?<Error>", "a server's error; download the file again"),
     (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),
     (rb"\x1f\x8b|PK\x03\x04|7z\xbc\xaf|Rar!", "an archive; unpack it"),
     (rb"\.{0,2}/[\w./ -]+\Z", "the text of a symbolic link; put the file that it names here"),

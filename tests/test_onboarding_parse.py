@@ -387,6 +387,16 @@ def test_a_chain_of_20_000_links_is_read_in_linear_time() -> None:
             "2 links have the name 'floor_point'",
         ),
         ('lower="-2.5"', 'lower="-inf"', "lower='-inf' should be a finite number; leave it out"),
+        ('<axis xyz="0 1 0"', '<axis rpy="0 1 0"', "no attribute 'rpy' of <axis>; it has xyz"),
+        ('xyz="0.15 0 0.1"', 'pos="0.15 0 0.1"', "'mount': a URDF has no attribute 'pos' of <or"),
+        ('xyz="0.15 0 0.1"', 'XYZ="0.15 0 0.1"', "'XYZ' of <origin> (did you mean 'xyz'?)"),
+        ('lower="-2.5" upper="2.5"', 'min="-2.5" max="2.5"', "'min' of <limit>; it has lower,"),
+        (
+            '<mass value="30"',
+            '<mass kg="30"',
+            "link 'base': a URDF has no attribute 'kg' of <mass>",
+        ),
+        ('xyz="0.15 0 0.1"', 'quat_xyzw="0 0 1 0"', "quat_xyzw is zero, or beside rpy"),
         (
             '<child link="fore"/>',
             '<child link="fore"/><mimic joint="lift"/>',
@@ -447,6 +457,53 @@ def test_a_mesh_name_is_suggested_and_a_mirrored_mesh_has_its_volume(tmp_path: P
     plain = parse(request(tmp_path, with_mesh(TOY, "m.stl")))
     sizes = [made.geometry["hand"].volume for made in (mirrored, plain)]
     assert sizes[0] == pytest.approx(sizes[1]) == pytest.approx(0.08 * 0.12 * 0.08)
+
+
+def test_attributes_of_extensions_are_ignored(tmp_path: Path) -> None:
+    """Robots of several makers have these."""
+    text = TOY.replace('velocity="2"', 'velocity="2" stiffness="9"')
+    text = text.replace('<axis xyz="0 1 0"', '<axis xyz="0 1 0" rpy="0 0 0"')
+    text = text.replace('velocity="12"', 'acceleration="5"')  # a wheel without a speed limit
+    assert parse(request(tmp_path, text)).limits == parse(request(tmp_path, TOY)).limits
+
+
+@pytest.mark.parametrize("old", ['xyz="0.15 0 0.1"', 'xyz="0 0 0.08"'])  # of joint, of shape
+def test_a_quaternion_is_read_as_the_same_rotation(old: str, tmp_path: Path) -> None:
+    """It need not have the length 1; the new URDF has `rpy`, which all libraries read."""
+    found = []
+    for turn in ('rpy="0 0 0.9272952180016122"', 'quat_xyzw="0 0 4 8"'):
+        text = TOY.replace(f'{old} rpy="0 0 0"', f"{old} {turn}")
+        assert text != TOY
+        parsed = parse(request(tmp_path, text))
+        assert "quat" not in rebased_urdf(parsed, name="toy", header="")
+        T = parsed.tree.pose("column", "base").homogeneous
+        found.append((T, parsed.geometry["hand"].corners))
+    for one, two in zip(*found, strict=True):
+        np.testing.assert_allclose(two, one, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit", "why"),
+    [
+        ("prismatic", (0, 40), "joints finger (0 to 40) have limits of many metres"),
+        ("prismatic", (0.04, 0), "joints finger (0.04 to 0) have a lower limit that is not below"),
+        ("revolute", (0, 90), "joints finger (0 to 90) have limits of more than two turns"),
+        ("revolute", (0, 0), ""),
+        ("prismatic", (0, 0), ""),
+        ("prismatic", None, ""),
+    ],
+)
+@pytest.mark.parametrize("carrier", ["hand", "base"])
+def test_wrong_limits_beside_the_arm_are_refused(
+    tmp_path: Path, carrier: str, kind: str, limit: tuple[float, float] | None, why: str
+) -> None:
+    words = 'lower="{}" upper="{}"'.format(*limit) if limit else 'effort="1"'
+    finger = joint("finger", kind, carrier, "tip", limit=words)
+    text = TOY.replace("</robot>", link("tip") + finger + "</robot>")
+    if why:
+        assert why in refused(tmp_path, text)
+    else:
+        assert parse(request(tmp_path, text)).arm.names == ARM_JOINTS
 
 
 def test_elements_beside_links_and_joints_are_ignored(tmp_path: Path) -> None:

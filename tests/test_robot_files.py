@@ -87,6 +87,7 @@ def test_a_urdf_is_read_in_the_encoding_that_it_declares(
         ("<!DOCTYPE html><html></html>", "a web page"),
         ("<!-- saved --> <HTML><body/></HTML>", "a web page"),
         ("404: Not Found", "a server's error"),
+        ('<?xml version="1.0"?>\n<Error><Code>AccessDenied</Code></Error>', "a server's error"),
         ("../other/toy.urdf", "the text of a symbolic link"),
         ("\x1f\x8b\x08", "an archive; unpack it"),
         ("", "an empty file"),
@@ -110,14 +111,14 @@ def test_the_error_names_the_content_in_place_of_a_file(
         (b"PXR-USDC\0\0", "a USD file"),
         (b"%PDF-1.7\n", "a PDF"),
         (b"\x89PNG\r\n", "a picture"),
-        (trimesh.creation.box().export(file_type="stl"), "an STL mesh"),
-        (trimesh.creation.box().export(file_type="stl_ascii").encode(), "an STL mesh"),
+        (trimesh.creation.box().export(file_type="stl"), "an STL mesh (.stl)"),
+        (trimesh.creation.box().export(file_type="stl_ascii").encode(), "an STL mesh (.stl)"),
     ],
 )
 def test_a_file_of_another_kind_is_named(tmp_path: Path, content: bytes, kind: str) -> None:
     path = tmp_path / "robot.urdf"
     path.write_bytes(content)
-    with pytest.raises(RobotFileError, match=f"it is {kind}, not a URDF"):
+    with pytest.raises(RobotFileError, match=re.escape(f"it is {kind}, not a URDF")):
         xml_text(path)
     with pytest.raises(RobotFileError, match="it is a folder; name a URDF"):
         locate(str(tmp_path))
@@ -576,6 +577,11 @@ OBJ = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
         ("m.obj", b"# 8,000 vertices\nf 1 2 3\n", r"^((?!commas).)*$"),
         ("m.gltf", b'{"scenes": [0,1', "is damaged: export it again"),
         ("m.stl", cube()[:96] + b"\0\0\x80\x7f" + cube()[100:], "not a finite number"),
+        ("m.stl", OBJ.encode(), r"triangles; it is an OBJ mesh \(.obj\): rename it"),
+        ("m.stl", b"# made by hand\no part\n" + OBJ.encode(), "an OBJ mesh"),
+        ("m.stl", b'<?xml version="1.0"?>\n<COLLADA/>', "a COLLADA mesh"),
+        ("m.stl", b"ISO-10303-21;\nHEADER;\n", "a STEP file"),
+        ("m.obj", cube(), "an STL mesh"),
     ],
 )
 def test_the_error_of_a_damaged_mesh_names_the_damage(

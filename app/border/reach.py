@@ -47,11 +47,9 @@ class Chain:
         """Extract the chain; raises a ConfigError if fewer than three joints move the body."""
         joints = _moving_joints(model, body)
         if len(joints) < _MIN_JOINTS:
-            raise ConfigError(
-                f"{body}: only {len(joints)} of the arm's joints move this body, but a reachability"
-                f" map needs {_MIN_JOINTS}; choose from: "
-                f"{', '.join(reach_bodies(model)) or '(none)'}"
-            )
+            why = f"{body}: only {len(joints)} of the arm's joints move this body, but a"
+            names = ", ".join(reach_bodies(model)) or "(none)"
+            raise ConfigError(f"{why} reachability map needs {_MIN_JOINTS}; choose from: {names}")
         self.body = body
         self.joints = [joint - 2 for joint in joints]
         still = [j for j in range(1, model.pin.njoints) if j not in joints]
@@ -120,10 +118,8 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
         square = np.delete(np.array(tried)[:, : chain.coordinates], free, axis=2)
         if np.abs(np.linalg.det(square)).max() > 1e-9:
             return free
-    raise DescriptionError(
-        f"arm.joints: a pose of {chain.body} does not determine the {k} joints that move this "
-        f"body, for any choice of {chain.free} fixed joints"
-    )
+    why = f"a pose of {chain.body} does not determine the {k} joints that move this body"
+    raise DescriptionError(f"arm.joints: {why}, for any choice of {chain.free} fixed joints")
 
 
 PEAK = 100.0  # [-] largest mean reachability in a shell around the mount: the paper's C

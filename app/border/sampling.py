@@ -340,10 +340,8 @@ class Voxels:
         """
         low, high = lower - reach, upper + reach
         if max(np.abs(low).max(), np.abs(high).max()) > dbb.POINT_RANGE:
-            raise DescriptionError(
-                f"bodies: the base extends more than {dbb.POINT_RANGE - reach:g} m "
-                "from the base's centre, too far for a stored border"
-            )
+            why = f"bodies: the base extends more than {dbb.POINT_RANGE - reach:g} m"
+            raise DescriptionError(f"{why} from the base's centre, too far for a stored border")
         low[2] = 0.0  # no points below the floor
         self._size = np.rint(size / POINT_UNIT).astype(int)
         self._origin = np.floor(low / POINT_UNIT / self._size).astype(int) * self._size

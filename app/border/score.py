@@ -39,10 +39,8 @@ class ScoreField:
         """The score for a body of the arm; raises a DescriptionError if A, B and C are missing."""
         robot = model.description
         if (reach := robot.reachability.get(body)) is None:
-            raise DescriptionError(
-                f"{robot.name}/robot.toml: reachability.{body}: missing; it is required because "
-                "the body can meet the base"
-            )
+            why = f"{robot.name}/robot.toml: reachability.{body}: missing"
+            raise DescriptionError(f"{why}; it is required because the body can meet the base")
         return cls(robot.base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:

@@ -260,10 +260,8 @@ def in_order(words: Iterable[str]) -> list[str]:
         if name == "--allow-host":
             groups[name] = [once]
         elif len(each) > 1:
-            raise ConfigError(
-                f"{name} appears {len(each)} times; write it once, with several values if it "
-                f"accepts them: {' '.join(once)}"
-            )
+            helps = f"write it once, with several values if it accepts them: {' '.join(once)}"
+            raise ConfigError(f"{name} appears {len(each)} times; {helps}")
     return before + [word for each in groups.values() for group in each for word in group]
 
 

@@ -249,7 +249,7 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
         AssetError, UnknownNameError: As for `whole_robot`.
     """
     tree, arm, changes = whole or whole_robot(request)
-    limits = numbers.read_limits(arm)
+    limits = numbers.read_limits(tree, arm)
     if request.ready is not None:
         count, joints = len(request.ready), len(arm.joints)
         if count != joints:

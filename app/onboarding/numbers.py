@@ -15,7 +15,7 @@ from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
 from app.onboarding.fit.units import placements
 from app.onboarding.read.links import BASE_DENSITY, LinkInertia
-from app.onboarding.read.tree import Arm, Joint
+from app.onboarding.read.tree import Arm, Joint, Tree
 from app.onboarding.read.wheels import Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
 from app.robot.model import STABLE_STEPS, RobotModel
@@ -67,14 +67,14 @@ class Limits(NamedTuple):
         return found
 
 
-def read_limits(arm: Arm) -> Limits:
-    """The limits in the URDF, with assumed ones for missing limits of position and speed.
+def read_limits(tree: Tree, arm: Arm) -> Limits:
+    """The arm's limits in the URDF, with assumed ones for missing limits of position and speed.
 
     A limit so large that it limits nothing counts as missing. A missing effort is 0 in the result.
     A RobotFileError is raised if position limits of a prismatic joint are missing, or those of any
-    joint are an empty range or probably in another unit.
+    joint are an empty range or probably in another unit. A finger may have no or equal limits.
     """
-    _check_ranges(arm.joints)
+    _check_ranges(tree, arm)
     lower = {joint.name: _position(joint, "lower") for joint in arm.joints}
     upper = {joint.name: _position(joint, "upper") for joint in arm.joints}
     speeds = {joint.name: _within(joint.velocity, _FASTEST) for joint in arm.joints}
@@ -113,8 +113,7 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     )
     least = f"{_MIN_EFFORT['revolute']:g} N m or {_MIN_EFFORT['prismatic']:g} N"
-    load = "the largest gravity load in random postures"
-    why = f"{_GRAVITY_SHARE:g} times {load}, at least {least}"
+    why = f"{_GRAVITY_SHARE:g} times the largest gravity load in random postures, at least {least}"
     return limits._replace(effort=effort, assumed=limits.assumed | {"max_effort": {why: missing}})
 
 
@@ -165,12 +164,15 @@ def _position(joint: Joint, side: str) -> tuple[float, str]:
     return at, f"half a turn{both}"
 
 
-def _check_ranges(joints: Sequence[Joint]) -> None:
+def _check_ranges(tree: Tree, arm: Arm) -> None:
     """Refuse implausible position limits; one message names all joints and their corrections."""
     wrong = defaultdict[str, list[str]](list)
-    for joint in joints:
+    screws = {j.mimic[0] for j in tree.joints.values() if j.mimic and j.kind == "prismatic"}
+    for joint in (tree.joint_of[link] for link in tree.below(arm.base)[1:]):
         limits = [q for q in _range(joint) if q is not None]
         farthest = max(map(abs, limits), default=0.0)
+        if joint.name not in arm.names and (joint.mimic or joint.lower == joint.upper):
+            continue
         if joint.kind == "prismatic" and len(limits) < 2:
             why = "are prismatic without a limit on each side; write both limits in the <limit>"
         elif limits == [0.0, 0.0]:
@@ -180,7 +182,7 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
             why = "have a lower limit that is not below the upper limit; correct the <limit>"
         elif joint.kind == "prismatic" and farthest > 5.0:
             why = "have limits of many metres, which are probably millimetres; write metres"
-        elif joint.kind == "revolute" and farthest > 4 * np.pi:
+        elif joint.kind == "revolute" and farthest > 4 * np.pi and joint.name not in screws:
             why = "have limits of more than two turns, which are probably degrees; write radians "
             why += '(90 degrees are 1.5708), or type="continuous" for a joint without limits'
         else:
@@ -250,14 +252,13 @@ def base_numbers(
     inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
     if wheels.steering:
         factor, inertia = 1.0, f"measured: {about}, about the rear axle"
-    weight = "with the whole weight on driven wheels"
-    friction = f"assumed: friction coefficient {_FRICTION:g}, {weight}"
+    grip = f"assumed: friction coefficient {_FRICTION:g}, with the whole weight on driven wheels"
     found = _geometry(kind, wheels, half_track) | {
         "mass_kg": (round(mass, 2), weighed),
         "inertia_kgm2": (round(factor * yaw, 3), inertia),
         "max_linear_velocity_mps": (round(v, 3), limit),
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
-        "traction_limit_n": (round(_FRICTION * 9.81 * mass, 1), friction),
+        "traction_limit_n": (round(_FRICTION * 9.81 * mass, 1), grip),
         "drive_time_constant_s": (0.05, "assumed: half of a 10 Hz command period"),
     }
     if kind != "car-like":  # the steering limits its angular velocity

@@ -183,8 +183,7 @@ def check_request(request: Request) -> None:
     package_folders(request.package)
     named("--xacro", request.xacro, "VALUE")
     if kind == "holonomic" and request.wheels is not None:
-        why = "a holonomic base has no wheels in its description"
-        raise ConfigError(f"--wheels: {why}; remove the option")
+        raise ConfigError("--wheels: a holonomic base's description has no wheels; remove it")
     complete = request.half_track is not None and request.wheels is None
     if request.wheel_radius is not None and not complete:
         raise ConfigError("--wheel-radius: needs --half-track, and excludes --wheels")

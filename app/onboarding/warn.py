@@ -156,7 +156,7 @@ def _scale(robot: NewRobot) -> Iterator[str]:
 
 
 def _joints(robot: NewRobot) -> Iterator[str]:
-    limits, stated = robot.parsed.limits, read_limits(robot.parsed.arm)
+    limits, stated = robot.parsed.limits, read_limits(robot.parsed.tree, robot.parsed.arm)
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
     for name, (low, high, lower, upper) in zip(robot.parsed.arm.names, ranges, strict=True):
         if (low, high) != (lower, upper):

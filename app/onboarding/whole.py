@@ -39,10 +39,9 @@ def one_message(doing: Callable[[], str]) -> Iterator[None]:
             raise RobotFileError(f"{error.filename}: cannot be read: {error.strerror}") from None
         _log.debug("%s", doing(), exc_info=True)
         why = " ".join(str(error).split())[:300] or "no reason stated"
-        raise RobotFileError(
-            f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; check "
-            "the file with check_urdf; if it is valid, report this error together with the URDF"
-        ) from error
+        why = f"a library cannot read this robot: {type(error).__name__}: {why}"
+        helps = "check the file with check_urdf; if it is valid, report this error and the URDF"
+        raise RobotFileError(f"{doing()}: {why}; {helps}") from error
 
 
 class Whole(NamedTuple):

@@ -274,13 +274,17 @@ _UTF16 = {  # by a file's first bytes; without these, a file that declares UTF-1
     **dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"),
     **{b"<\0": "utf-16-le", b"\0<": "utf-16-be"},
 }
-_KINDS = {  # kinds of files by their first bytes
-    **dict.fromkeys((b"#usda", b"PXR-USDC"), "a USD file"),
+_KINDS = {  # kinds of files by patterns of their beginning
+    rb"#usda|PXR-USDC": "a USD file",
     b"%PDF": "a PDF",
-    b"solid ": "an STL mesh",
-    **dict.fromkeys((b"\x89PNG", b"\xff\xd8\xff", b"GIF8"), "a picture"),
-    b"glTF": "a glTF mesh",
-    b"\x7fELF": "a program",
+    b"solid ": "an STL mesh (.stl)",
+    rb"\x89PNG|\xff\xd8\xff|GIF8": "a picture",
+    b"glTF": "a glTF mesh (.glb)",
+    rb"\x7fELF": "a program",
+    rb"(\s|<\?xml[^>]*>|<!--.*?-->)*<COLLADA": "a COLLADA mesh (.dae)",
+    rb"([#\w][^\n]*\n|\s)*?v\s+[-.\d]+\s+[-.\d]": "an OBJ mesh (.obj)",
+    b"ISO-10303-21": "a STEP file (.step)",
+    b"Kaydara FBX": "an FBX file (.fbx)",
 }
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 
@@ -301,6 +305,14 @@ def refuse_placeholder(content: bytes, where: object) -> None:
         raise RobotFileError(f"{where}: in the place of the file is {name}")
 
 
+def kind_of(begin: bytes, size: int) -> str:
+    """The kind of a file by its first bytes and its size [bytes]; empty if it is unknown."""
+    if size == stated_stl(begin)[1]:
+        return "an STL mesh (.stl)"
+    begin = begin.removeprefix(codecs.BOM_UTF8)
+    return next((name for key, name in _KINDS.items() if re.match(key, begin, re.DOTALL)), "")
+
+
 def stated_stl(begin: bytes) -> tuple[int, int]:
     """Number of facets in a binary STL's header, and the size [bytes] of a file with them."""
     facets = int.from_bytes(begin[80:84], "little")
@@ -318,9 +330,8 @@ def xml_text(path: Path) -> str:
     except ValueError as error:
         raise RobotFileError(f"{path}: {error}") from None
     refuse_placeholder(content, path)
-    kind = next((name for begin, name in _KINDS.items() if content.startswith(begin)), None)
-    if kind or len(content) == stated_stl(content)[1]:
-        raise RobotFileError(f"{path}: it is {kind or 'an STL mesh'}, not a URDF")
+    if kind := kind_of(content[:_PART], len(content)):
+        raise RobotFileError(f"{path}: it is {kind}, not a URDF")
     content = content.removeprefix(codecs.BOM_UTF8)
     declared = _DECLARED.match(content)
     stated = declared[1].decode().lower() if declared else "utf-8"
@@ -344,10 +355,8 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     """
 
     def refuse(name: str, *_: object) -> NoReturn:
-        raise RobotFileError(
-            f"{path.name}: it declares the XML entity {name!r}, which could grow without end or "
-            "read other files; write its text instead, without <!ENTITY …>"
-        )
+        why = f"{path.name}: it declares the XML entity {name!r}, which could grow without end or"
+        raise RobotFileError(f"{why} read other files; write its text instead, without <!ENTITY …>")
 
     depth = count = 0
 
@@ -355,11 +364,9 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         if depth > _DEEPEST or count > _MAX_ELEMENTS or len(attributes) > _MAX_ATTRIBUTES:
-            raise RobotFileError(
-                f"{path.name}: it has more than {_MAX_ELEMENTS:,} elements, more than {_DEEPEST} "
-                f"nested levels, or more than {_MAX_ATTRIBUTES} attributes of an element, which no "
-                "robot has"
-            )
+            more = f"more than {_MAX_ELEMENTS:,} elements, more than {_DEEPEST} nested levels, or "
+            more += f"more than {_MAX_ATTRIBUTES} attributes of an element, which no robot has"
+            raise RobotFileError(f"{path.name}: it has {more}")
 
     def end(*_: object) -> None:
         nonlocal depth

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from app.errors import RobotFileError, named_part
+from app.errors import RobotFileError, did_you_mean, named_part
 from app.jobs.bounded import SMALL
 from app.robot.assets import floats, resolve_package_uri
 from app.strict import Array
@@ -18,10 +18,34 @@ from app.strict import Array
 if TYPE_CHECKING:
     import trimesh
 
+_ATTRIBUTES = {  # of elements in which a missing attribute means a default
+    "origin": ("xyz", "rpy", "quat_xyzw"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
+    "mimic": ("joint", "multiplier", "offset"),
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+}
+
 
 def unit_of(length: float) -> str:
     """The probable unit of a length that is too large in metres, such as `millimetres`."""
     return "millimetres" if length >= 60.0 else "inches or centimetres"
+
+
+def only_rpy(robot: Element) -> None:
+    """Replace `quat_xyzw` in each `<origin>`, which few libraries read, by `rpy`. A RobotFileError
+    is raised if it is not four numbers, is zero or is beside an `rpy`.
+    """
+    for part in (*robot.findall("link"), *robot.findall("joint")):
+        for at in (each for each in part.iter("origin") if "quat_xyzw" in each.attrib):
+            where = f"{part.tag} {part.get('name')!r}"
+            x = numbers(at, "quat_xyzw", (0.0, 0.0, 0.0, 1.0), where)
+            if "rpy" in at.attrib or (length := float(np.linalg.norm(x))) < 1e-6:
+                raise RobotFileError(f"{where}: quat_xyzw is zero, or beside rpy: write only one")
+            del at.attrib["quat_xyzw"]
+            rpy = pin.rpy.matrixToRpy(pin.Quaternion(x / length).matrix())
+            at.set("rpy", " ".join(map(str, rpy.tolist())))
 
 
 def origin(element: Element, where: str) -> pin.SE3:
@@ -33,34 +57,41 @@ def origin(element: Element, where: str) -> pin.SE3:
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
     if np.abs(rpy).max() > 4 * np.pi:
-        words = " ".join(f"{angle:g}" for angle in rpy)
-        raise RobotFileError(
-            f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
-            "degrees are 1.5708"
-        )
+        why = f'{where}: rpy="{" ".join(f"{angle:g}" for angle in rpy)}" looks like degrees'
+        raise RobotFileError(f"{why}; angles of a URDF are in radians: 90 degrees are 1.5708")
     xyz = numbers(at, "xyz", (0.0, 0.0, 0.0), where)
     if (far := float(np.abs(xyz).max())) > 10.0:
-        raise RobotFileError(
-            f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres, these look "
-            f"like {unit_of(far)}"
-        )
+        why = f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres"
+        raise RobotFileError(f"{why}, these look like {unit_of(far)}")
     return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
     """The numbers of an attribute `key`, or the default if element or attribute is missing.
 
-    Raises a RobotFileError, which begins with `where`, if the attribute does not have as many
-    finite numbers as the default.
+    Raises a RobotFileError, which begins with `where`, as `stated`, or if the attribute does not
+    have as many finite numbers as the default.
     """
-    words = None if element is None else element.get(key)
-    if words is None:
+    if (words := stated(element, key, where)) is None:
         return np.array(default)
     values = floats(words, len(default))
     if values is None:
         wanted = "a number" if len(default) == 1 else f"{len(default)} numbers"
         raise RobotFileError(f"{where}: {key}={words!r} should be {wanted}{without_commas(words)}")
     return np.array(values)
+
+
+def stated(element: Element | None, key: str, where: str) -> str | None:
+    """The text of an attribute, or None if it is missing. A RobotFileError, which begins with
+    `where`, is raised if it is missing and another one, maybe a misspelling, is not a URDF's.
+    """
+    if element is None or key in element.attrib:
+        return None if element is None else element.get(key)
+    known = _ATTRIBUTES.get(element.tag, element.attrib)
+    if odd := next((name for name in element.attrib if name not in known), ""):
+        why = f"{where}: a URDF has no attribute {odd!r} of <{element.tag}>"
+        raise RobotFileError(f"{why}{did_you_mean(odd, known)}; it has {', '.join(known)}")
+    return None
 
 
 def without_commas(words: str) -> str:

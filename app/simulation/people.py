@@ -152,9 +152,8 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
     """
     place = _finite(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
-        raise TargetError(
-            f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
-        )
+        why = f"the held point is farther than {_LINK_SIZE:g} m from its link's origin"
+        raise TargetError(f"{why}: {point!r}")
     return place
 
 

@@ -74,11 +74,10 @@ class Step(NamedTuple):
 def check_avoidance(model: RobotModel, data: BorderData) -> None:
     """Raise a DescriptionError if L_m is empty: no link pair contains the base."""
     if not data.pairs.mobile:
-        raise DescriptionError(
-            f"{model.description.name}: no monitored part of the arm can meet the base, so no "
-            "controller can avoid a collision; check the pairs under `unwatched` in "
-            "robot.toml, and in the robot's report that the bodies enclose the links"
-        )
+        why = f"{model.description.name}: no monitored part of the arm can meet the base"
+        why += ", so no controller can avoid a collision; check the pairs under `unwatched` in "
+        why += "robot.toml, and in the robot's report that the bodies enclose the links"
+        raise DescriptionError(why)
 
 
 class Session:
@@ -353,6 +352,5 @@ def check_posture(model: RobotModel, q_m: Array) -> None:
     limits = zip(model.description.arm.joints, q_m, model.q_lower, model.q_upper, strict=True)
     for name, at, low, high in limits:
         if not low - _ROUNDING <= at <= high + _ROUNDING:
-            raise TargetError(
-                f"start: {name} at {at:.4g} is beyond its limits, {low:g} to {high:g}"
-            )
+            why = f"{name} at {at:.4g} is beyond its limits, {low:g} to {high:g}"
+            raise TargetError(f"start: {why}")

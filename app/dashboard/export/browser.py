@@ -56,10 +56,9 @@ def browser_path(bundled: str) -> str | None:
             return path
     if Path(bundled).exists():
         return None
-    raise BrowserError(
-        "no Chromium to draw with: `make browser` provides one, or `playwright install chromium`, "
-        f"or Debian's `apt-get install chromium`; or set {VARIABLE} to the path of a browser"
-    )
+    ways = "`make browser` provides one, or `playwright install chromium`, or Debian's "
+    ways += f"`apt-get install chromium`; or set {VARIABLE} to the path of a browser"
+    raise BrowserError(f"no Chromium to draw with: {ways}")
 
 
 @contextmanager

@@ -119,9 +119,8 @@ class ArmFitter:
             links = tuple(link for unit in units for link in unit.links)
             fitted = self._smallest(units, needed) or self._smallest(units, whole)
             if fitted is None:
-                raise RobotFileError(
-                    f"the links {', '.join(links)} have no shapes for a body; change --bodies"
-                )
+                why = f"the links {', '.join(links)} have no shapes for a body"
+                raise RobotFileError(f"{why}; change --bodies")
             fits, joint = fitted
             frame = next(unit.frame for unit in units if unit.joint == joint)
             name = f"l{k}" if k < len(grouping) else "lEE"

@@ -309,9 +309,8 @@ def with_stops(
             reason = f"{b.name} reaches {a.name}{meetings.detectable(pair)}"
             stops[name] = f"{stops[name]}, and {reason}" if name in stops else reason
         elif possible:
-            raise RobotFileError(
-                f"--ready: {b.name} can meet {a.name} near this posture; choose another posture"
-            )
+            why = f"--ready: {b.name} can meet {a.name} near this posture"
+            raise RobotFileError(f"{why}; choose another posture")
     return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), stops=stops)
 
 

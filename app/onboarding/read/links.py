@@ -16,7 +16,7 @@ from app.errors import RobotFileError
 from app.onboarding.fit.convex import convex_pieces
 from app.onboarding.read.source import MESHES
 from app.onboarding.read.tree import Arm, Tree
-from app.robot.assets import floats, refuse_placeholder, stated_stl
+from app.robot.assets import floats, kind_of, refuse_placeholder, stated_stl
 from app.robot.shapes import hull_mesh
 from app.robot.urdf import numbers, origin, unit_of, urdf_mesh
 from app.strict import Array
@@ -163,13 +163,13 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         scale = trimesh.units.unit_conversion(scene.units or "meters", "meters")
         for part, mesh in scene.geometry.items():
             if not np.isfinite(mesh.vertices).all():  # libraries read these in different ways
-                raise ValueError("a coordinate is not a finite number; export it again")
+                raise ValueError("a coordinate is not a finite number")
             if isinstance(mesh, trimesh.Trimesh):
                 merged = mesh.process() if size < _HEAVY else mesh
                 scene.geometry[part] = _lightened(merged, _CELL / scale)
         joined = scene.to_mesh()
         if not len(joined.faces):
-            raise ValueError("it has no triangles; export it again")
+            raise ValueError("it has no triangles")
         return joined.apply_scale(scale)
     except (RobotFileError, MemoryError, PermissionError):
         raise
@@ -178,7 +178,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     except Exception as error:  # the readers' errors have no common base class
         raw = isinstance(error, (AttributeError, IndexError, KeyError, TypeError))
         why = "it is damaged or has no triangles" if raw else " ".join(str(error).split())
-        why += _damage(error, begin, size, end) or "; export it again" * raw
+        why += _damage(error, begin, size, end) or "; export it again"
         raise RobotFileError(f"{name}: it cannot be read as .{end}: {why}") from None
 
 
@@ -187,6 +187,8 @@ load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
     """Advice for an unreadable mesh file, or empty; `begin`: its first bytes, `end`: its suffix."""
+    if (kind := kind_of(begin, size)) and f"(.{end})" not in kind:
+        return f"; it is {kind}: rename it, or convert it to .stl"
     if end == "gltf":  # for a damaged file, trimesh looks for another .gltf
         if isinstance(error, FileNotFoundError) and not str(error).endswith(".gltf"):
             return " is missing beside it: add this file, or export the mesh as .glb"

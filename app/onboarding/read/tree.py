@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import floats
-from app.robot.urdf import colour, numbers, origin, unit_of, without_commas
+from app.robot.urdf import colour, numbers, only_rpy, origin, stated, unit_of, without_commas
 from app.strict import Array
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -133,6 +133,7 @@ def make_tree(robot: Element) -> Tree:
                 raise RobotFileError(f"a {tag} has no name")
             if count > 1:
                 raise RobotFileError(f"{count} {tag}s have the name {name!r}; names must be unique")
+    only_rpy(robot)
     links = {str(link.get("name")): link for link in robot.findall("link")}
     if not links:
         near = did_you_mean("link", {str(each.tag) for each in robot})
@@ -143,8 +144,7 @@ def make_tree(robot: Element) -> Tree:
     for joint in joints.values():
         if (other := tree.joint_of[joint.child]) is not joint:
             why = f"closed chain: the link {joint.child!r} is the child of two joints"
-            helps = "a URDF is a tree: remove one of them"
-            raise RobotFileError(f"{why}, {joint.name!r} and {other.name!r}; {helps}")
+            raise RobotFileError(f"{why}, {joint.name!r} and {other.name!r}; remove one of them")
     roots = [name for name in links if name not in tree.joint_of]
     if len(roots) > 1:
         why = f"the links are not connected: {_some(roots)} are children of no joint"
@@ -183,11 +183,9 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     length = float(np.linalg.norm(axis))
     if kind in MOVING and length < 1e-6:
         raise RobotFileError(f"{where}: its axis is zero")
-    mimic = None
-    if (leader := element.find("mimic")) is not None:
-        usual = ("multiplier", 1.0), ("offset", 0.0)
-        factor, offset = (float(numbers(leader, key, (x,), where)[0]) for key, x in usual)
-        mimic = str(leader.get("joint")), factor, offset
+    leader, usual = element.find("mimic"), (("multiplier", 1.0), ("offset", 0.0))
+    factor, offset = (float(numbers(leader, key, (x,), where)[0]) for key, x in usual)
+    mimic = None if leader is None else (str(leader.get("joint")), factor, offset)
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
     lacking = [key for key in keys if limits[key] is None]
@@ -200,7 +198,7 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
 
 def _limit(element: Element, key: str, where: str) -> float | None:
     """The attribute `key` of the `<limit>` of the joint `where`, or None if it is not stated."""
-    if (word := next((each.get(key) for each in element.iterfind("limit")), None)) is None:
+    if (word := stated(element.find("limit"), key, where)) is None:
         return None
     if (value := floats(word, 1)) is None:
         why = f"{where}: {key}={word!r} should be a finite number"

@@ -56,10 +56,9 @@ def make_physics(
 
         base = model.description.base
         if not isinstance(base, DifferentialBase):
-            raise ConfigError(
-                "the plant mujoco-contact suits only differential bases; the base of "
-                f"{model.description.name} is {base.kind}: choose mujoco, planar or kinematic"
-            )
+            own = f"the base of {model.description.name} is {base.kind}"
+            why = f"the plant mujoco-contact suits only differential bases; {own}"
+            raise ConfigError(f"{why}: choose mujoco, planar or kinematic")
         from app.simulation.plants.mujoco_wheels import MujocoWheels
 
         return MujocoWheels(model, dt=dt, door=door)

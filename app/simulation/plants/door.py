@@ -177,10 +177,8 @@ def with_door(
     )
     known = description.reachability
     if not (tips := [b.name for b in description.bodies if b.name in known]):
-        raise DescriptionError(
-            f"{description.name}/robot.toml: reachability: no body has A, B and C of (9), which a "
-            "held door requires; `dbb reach` computes them"
-        )
+        why = "no body has A, B and C of (9), which a held door requires; `dbb reach` computes them"
+        raise DescriptionError(f"{description.name}/robot.toml: reachability: {why}")
     reachability = {**known, BODY: known[tips[-1]]}
     pair = Pair(description.mobile_body.name, BODY)
     holding = description.model_copy(

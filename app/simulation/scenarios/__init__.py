@@ -71,10 +71,8 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
         there = ", ".join(each for each in _OWN if _own_line(description, each)) or "none"
         unknown = "no line is known on which the base moves away from the arm"
         why = description.without_line.get(name, unknown)
-        raise UnreachableError(
-            f"{description.name} has no line for {name}: {why}; it has lines for: {there}. "
-            "--start X Y Z and --move X Y Z set a line"
-        )
+        why = f"{description.name} has no line for {name}: {why}; it has lines for: {there}"
+        raise UnreachableError(f"{why}. --start X Y Z and --move X Y Z set a line")
     return scenario.changed(**own).changed(**changes)
 
 

@@ -60,10 +60,8 @@ class LineScenario(Scenario):
         super().__post_init__()
         release, regrasp = self.release_at, self.regrasp_at
         if not 0.0 < self.moving < math.inf or (self.moving > 1.0 and release is None):
-            raise ConfigError(
-                f"--moving: {self.moving:g} is not a finite number above 0, or it is above 1 "
-                "without a release"
-            )
+            why = f"--moving: {self.moving:g} is not a finite number above 0"
+            raise ConfigError(f"{why}, or it is above 1 without a release")
         check_point("--start", self.start)
         check_point("--move", self.move)
         if release is None and regrasp is None:
@@ -74,15 +72,11 @@ class LineScenario(Scenario):
         if release is None:
             raise ConfigError("--regrasp-at: there is no release; set --release-at too")
         if not 0.0 < release < self.duration:
-            raise ConfigError(
-                f"--release-at: {release:g} s is not after the run's start, 0 s, and before its "
-                f"end, {self.duration:g} s"
-            )
+            why = f"--release-at: {release:g} s is not after the run's start, 0 s"
+            raise ConfigError(f"{why}, and before its end, {self.duration:g} s")
         if regrasp is not None and not release < regrasp < self.duration:
-            raise ConfigError(
-                f"--regrasp-at: {regrasp:g} s is not after the release, {release:g} s, and before "
-                f"the run's end, {self.duration:g} s"
-            )
+            why = f"--regrasp-at: {regrasp:g} s is not after the release, {release:g} s"
+            raise ConfigError(f"{why}, and before the run's end, {self.duration:g} s")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         q_m = self._posture(model, data, config, seed)

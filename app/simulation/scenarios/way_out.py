@@ -61,19 +61,16 @@ class WayOutScenario(Scenario):
         if self.begin != "buffer":
             cases += [(i, None) for i in range(mobile, len(pairs.all))]
         if not cases:
-            raise UnreachableError(
-                f"--begin {self.begin}: no monitored bodies within the arm of "
-                f"{model.description.name} can meet; choose --begin buffer or penetration"
-            )
+            why = f"no monitored bodies within the arm of {model.description.name} can meet"
+            helps = "choose --begin buffer or penetration"
+            raise UnreachableError(f"--begin {self.begin}: {why}; {helps}")
         for k in rng.permutation(len(cases)):
             guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
             judge = partial(_judge, search, *cases[k], depth)
             if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
                 return Setting(model, data, np.zeros(3), q_m, config)
-        raise UnreachableError(
-            f"no start of the kind {self.begin!r} is among {_TRIES} random postures of the arm "
-            "for each pair; choose another --begin"
-        )
+        why = f"no start of the kind {self.begin!r} is among {_TRIES} random postures of the arm"
+        raise UnreachableError(f"{why} for each pair; choose another --begin")
 
     def driver(self, session: Session) -> Driver:
         del session

@@ -125,10 +125,9 @@ def draw_start(
         if high and sources.near <= distance <= sources.far:
             with suppress(UnreachableError):
                 return start, solver.solve(point_of(start.p), seed=seed, tries=2), redraws
-    raise StudyError(
-        f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts with its "
-        f"end-effector {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
-    )
+    why = f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts"
+    where = f"with its end-effector {heights[0]:g} to {heights[1]:g} m above the floor"
+    raise StudyError(f"{why} {where}; try other heights")
 
 
 def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start:

@@ -49,10 +49,9 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             low, high = getattr(ranges, name)
             found[name] = max(low, lower), min(high, upper)
             if low > upper or high < lower:
-                raise StudyError(
-                    f"--{name.replace('_', '-')}: {low:g} to {high:g} is outside of the envelope, "
-                    f"{lower:g} to {upper:g}; --inside needs a range that overlaps the envelope"
-                )
+                why = f"--{name.replace('_', '-')}: {low:g} to {high:g} is outside of the envelope"
+                helps = "--inside needs a range that overlaps the envelope"
+                raise StudyError(f"{why}, {lower:g} to {upper:g}; {helps}")
         return ranges.model_copy(update=found)
 
     def holds(self, row: Row) -> bool:

@@ -172,9 +172,8 @@ class Journal(AbstractContextManager["Journal"]):
                 row = parsed(json.loads, line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
-                raise StudyError(
-                    f"line {number} of {path} is damaged; remove the line, and the case runs again"
-                ) from None
+                why = f"line {number} of {path} is damaged"
+                raise StudyError(f"{why}; remove the line, and the case runs again") from None
         self._file.truncate(whole)  # the file is open to append: writing continues at its end
 
 
@@ -189,10 +188,9 @@ def _check_identity(folder: Path, identity: dict[str, Any]) -> None:
     except ValueError:
         raise StudyError(f"--out: {path} is damaged; choose another folder") from None
     if stored != identity:
-        raise StudyError(
-            f"--out: {folder} has another study ({_difference(stored, identity)}); "
-            "continue that study with its own options, or choose another folder"
-        )
+        why = f"--out: {folder} has another study ({_difference(stored, identity)})"
+        helps = "continue that study with its own options, or choose another folder"
+        raise StudyError(f"{why}; {helps}")
 
 
 def _difference(kept: Any, wanted: dict[str, Any]) -> str:
@@ -226,10 +224,9 @@ def _client(scheduler: str) -> Any:
         client = Client(scheduler, timeout=_PATIENCE)
     except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificate
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise StudyError(
-            f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
-            "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
-        ) from None
+        why = f"--scheduler: no dask scheduler answers at {scheduler} ({reason})"
+        helps = "start one by `dask scheduler`, and workers by `dask worker ADDRESS`"
+        raise StudyError(f"{why}; {helps} with this project installed") from None
     with ExitStack() as stack:
         stack.callback(client.close)  # closes it after an error
         with suppress(TimeoutError):
@@ -239,9 +236,8 @@ def _client(scheduler: str) -> Any:
         except ImportError as error:
             raise StudyError(f"--scheduler: a worker of {scheduler} lacks {error.name}") from None
         if not digests:
-            raise StudyError(
-                f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
-            )
+            why = f"--scheduler: {scheduler} has no workers"
+            raise StudyError(f"{why}; start some by `dask worker {scheduler}`")
         strange = [worker for worker, digest in digests.items() if digest != code_digest()]
         if strange:
             names = ", ".join(strange)
