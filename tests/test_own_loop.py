@@ -935,6 +935,86 @@ def test_clock_in_microseconds_is_no_time_in_single_precision(
     assert ("float32" in rounding(m, 5e-4)) == (age == 100.0)  # the only age that 512 s can explain
 
 
+def garbage(field: str, value: float) -> Degradation:
+    """One absurd entry in the step 300."""
+
+    def degrade(k: int, m: Measurement) -> Measurement:
+        at = np.arange(len(getattr(m, field))) == 0
+        return m._replace(**{field: np.where(at & (k == 300), value, getattr(m, field))})
+
+    return degrade
+
+
+@pytest.mark.parametrize("value", [1e9, 1e16, -1.79e308])
+@pytest.mark.parametrize(
+    ("field", "fault"),
+    [
+        ("base_pose", "invalid"),
+        ("base_velocity", "velocity"),
+        ("q_m", "implausible"),
+        ("qd_m", "velocity"),
+    ],
+)
+@pytest.mark.parametrize("clock", [False, True], ids=["no clock", "stamps"])
+def test_absurd_reading_is_named_and_not_used(
+    run, field: str, fault: str, value: float, clock: bool
+) -> None:
+    """A base pose of 1e16 m gave torques of NaN in all later steps."""
+    degrade = garbage(field, value)
+    if clock:
+        degrade = both(odometry(0, 1), degrade)
+    found = run(degrade, time=0.4)
+    assert set(found.faults) == {fault}
+    assert np.isfinite(found.ee).all()
+    assert found.share < 1.0
+
+
+def test_absurd_first_pose_of_the_base_is_a_missing_pose(run) -> None:
+    found = run(lambda k, m: m._replace(base_pose=m.base_pose + 1e16), time=0.2)
+    assert set(found.faults) == {"invalid"}
+
+
+def test_coarse_encoder_with_new_time_stamps_repeats_no_reading(run) -> None:
+    """The encoders have 14 bits, and the velocities are means of 20 ms: joints often rest."""
+    seen, step = list[Array](), 2.0 * np.pi / 2**14
+
+    def coarse(k: int, m: Measurement) -> Measurement:
+        seen[:] = [*seen, step * np.round(m.q_m / step)][-21:]
+        velocity = (seen[-1] - seen[0]) / (0.001 * max(len(seen) - 1, 1))
+        return m._replace(q_m=seen[-1], qd_m=velocity)
+
+    pull = np.array([-20.0, 5.0, -5.0])
+    found = run(stamped(coarse), pull=lambda k: pull * min(max(k / 100 - 3, 0), 1), time=0.7)
+    assert found.faults == {}
+
+
+def test_odometry_that_is_up_to_0_2_s_old_does_not_jump(run) -> None:
+    pull = np.array([-20.0, 5.0, -5.0])
+    found = run(odometry(100, 100), pull=lambda k: pull * min(max(k / 100 - 3, 0), 1), time=1.1)
+    assert found.faults == {}
+
+
+@pytest.mark.parametrize("factor", [100.0, np.array([1.0, 57.3])], ids=["cm/s", "deg/s"])
+def test_base_velocity_that_contradicts_the_poses_is_not_used(run, factor: Any) -> None:
+    """Joints reached 2.2 to 2.9 times their speed limits."""
+
+    def inwards_by_0_3_m(t: float, origin: pin.SE3) -> Reference:
+        way, v = min(t / 1.5, 1.0), np.array([0.0, -0.2, 0.0, 0.0, 0.0, 0.0]) * (t < 1.5)
+        pose = pin.SE3(origin.rotation, origin.translation + np.array([0.0, -0.3 * way, 0.0]))
+        return Reference(pose, v, np.zeros(6))
+
+    found = run(
+        lambda k, m: m._replace(base_velocity=factor * m.base_velocity),
+        start=SIDE,
+        pull=np.zeros(3),
+        reference=inwards_by_0_3_m,
+        time=1.5,
+    )
+    assert "localisation" in found.faults
+    assert found.share < 1.1
+    assert found.nearest > 0.02
+
+
 @pytest.mark.parametrize("age", [0.3, -0.1])
 def test_odometry_that_is_too_old_or_later_than_the_step_is_not_used(run, age: float) -> None:
     found = run(odometry(0, 1, age), time=0.5)

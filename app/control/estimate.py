@@ -35,8 +35,7 @@ _SMALL = 1e-11  # [rad²] variance of positions below which all samples are plau
 FARTHEST = 10.0  # [-] largest plausible ratio of a motion, or of a velocity, to the speed limit
 _REVERSED = 4.0  # [-] largest remaining friction after a push upwards, relative to the push
 _SETTLED = 20  # [-] samples of the noise before a load can be estimated
-_SOON = 0.005  # [s] largest age of readings at which these samples take little time, so that a load
-# that is present after them counts as sudden
+_SOON = 0.005  # [s] largest age of readings at which a load after these samples counts as sudden
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
 _SAMPLED = 0.02  # [s] shortest interval of a mean of the external torques
 _SIGNIFICANT = 5.0  # [-] smallest reported load in standard deviations of the estimate
@@ -343,11 +342,9 @@ def estimate_load(gains: Any, w: Any, elapsed: float, jumped: bool) -> None:
         return
     M, torque, lift = w.M[n_b:, n_b:], times(w.M[n_b:, n_b:], w.x_est[2]), np.zeros(len(w.q_m))
     for k in range(3):
-        a = 0.0
+        a = _GRAVITY if k == 2 else 0.0
         if not (begins or restarted):
-            a = (w.v_ee[k] - w.v_tip[k]) / elapsed
-        if k == 2:
-            a += _GRAVITY
+            a += (w.v_ee[k] - w.v_tip[k]) / elapsed
         for i in range(len(lift)):
             lift[i] += w.J_ee[k, n_b + i] * a
     put(w.v_tip, w.v_ee[:3])
@@ -387,8 +384,7 @@ def _judge_load(gains: Any, w: Any, C: Array) -> None:
             put(lifts[k], lifts[0])
     w.load[()] = _mass(torques[0], lifts[0])
     sudden = _sudden_mass(torques + w.loaded[()] * lifts, lifts, C)
-    newest, older = w.load[()], _mass(torques[3], lifts[3])
-    before = _mass(torques[1], lifts[1])
+    newest, before, older = w.load[()], _mass(torques[1], lifts[1]), _mass(torques[3], lifts[3])
     if sudden != 0.0:
         pushed, rest = w.loaded[()] < -gains.payload_mass - _LEAST_LOAD, w.loaded[()] + sudden
         # After a person's push upwards, a small rest is friction that has changed its sign.

@@ -3,9 +3,9 @@
 A step runs once in each control period ("period" in this module), with or without a new reading. It
 first predicts the motion in the period by the known torques and the motion of the base. A usable
 new reading then corrects the state of the arm at the time of the reading (Kalman filter), and the
-present state is predicted from this state. Thus repeated, lost, impossible and late readings are
-the same case: a reading has an age. Time stamps show the age, and the caller's clock the period.
-Without them, both are estimated from the readings. The module decides on four properties:
+present state is predicted from it. Thus repeated, lost, impossible and late readings are the same
+case: a reading has an age. Time stamps show the age, the caller's clock shows the period; otherwise
+both are estimated from the readings. The module decides on four properties:
 
 - **The lag**, the delay of the readings in periods. A delay that begins during a motion is the age
   at which the predicted state equals the reading (`_match_lag`). Any other delay is the time until
@@ -14,7 +14,8 @@ Without them, both are estimated from the readings. The module decides on four p
 - **The contradiction**. A joint moves far above its speed limit, and at each lag the commanded
   torques explain its motion worse than no torques (`_weigh_lags`). Many successive jumps count too.
 - **The velocities** are not used if they exceed the speed limits by far, or do not match the
-  positions at any plausible period. The positions and the model of the base's drive replace them.
+  positions at any plausible period, or the recent poses of the base. The positions and the model
+  of the base's drive replace them.
 """
 
 import math
@@ -96,12 +97,10 @@ _PRECISELY = 3.0  # [-] ratio of the smallest motions for a measured period and 
 _SMALLEST, _LARGEST = 0.125, 10.0  # [-] bounds of a plausible ratio; rpm instead of rad/s has 0.105
 _AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _JITTER = 0.9  # [periods] largest difference of an age by a time stamp from an unchanged lag
-_LATE_BY, _EARLY_BY = 0.9, 0.5  # [periods] largest delay of a step that is no missed period, and
-# largest lead of one that is no second step in the same period
+_LATE_BY, _EARLY_BY = 0.9, 0.5  # [periods] largest delay and lead of a step that counts as one
 _DRIFT = 0.05  # [-] relative difference of the true control period that causes no missed periods
 _SPREAD = 0.75  # [-] standard deviations of the clock's intervals within which a mean counts as 1
-_MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [-] shortest duration, and smallest number of control
-# periods, for a measurement of the period by the clock
+_MEASURED, _FEWEST_PERIODS = 0.03, 5  # [s], [periods] shortest measurement of the period by a clock
 _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurements that agree
 # The lag, doubts about it, and contradictions
 _DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a speed limit and to the
@@ -131,6 +130,7 @@ _RECENT = 2.0  # [s] time constant of the comparison of the base's pose with its
 _NEAR = 0.02  # [m or rad] difference of the two that is always plausible
 _SELDOM = 0.21  # [s] age of a pose of the base from which the motion since then is compared
 _NOISY = 0.05  # [rad] noise of a wrapped position at a joint limit
+_EARTH = 1e8  # [m or rad] bound of plausible poses; map coordinates such as UTM remain below 1e7
 
 
 @compiled()
@@ -168,10 +168,10 @@ def _compare_joints(w: Any, read: Array, stamp: float, dt: float) -> tuple[Array
     """Compare the readings (2, n_m) of each joint with its last ones, which they can repeat.
 
     Repetitions are all readings with the last time stamp [s], and equal readings of a joint that
-    moves; without a velocity, the motion must exceed the encoder's resolution. If no reading has
-    changed, one repetition shows that all are repetitions; otherwise a joint's repetitions count up
-    to 0.1 s. Without time stamps, a new reading can be farther away than a joint moves in two
-    control periods at its new velocity. Then the equal readings before it were repetitions too.
+    moves; without a velocity or with a new stamp, its motion in a period must exceed the encoder's
+    resolution. If no reading has changed, one repetition shows that all are repetitions; otherwise
+    a joint's repetitions count up to 0.1 s. Without stamps, a new reading can be farther away than
+    a joint moves in two periods at its new velocity; the equal readings before it were repetitions.
 
     Returns (n_m,) whether each reading is a repetition; the number of the equal readings before a
     new one that were repetitions of all joints; and (n_m,) the further number of each joint.
@@ -197,7 +197,7 @@ def _compare_joints(w: Any, read: Array, stamp: float, dt: float) -> tuple[Array
             farthest = max(farthest, way)
             enough = max(_CLEARLY_FAR * grain, 0.0 if known else _LEAST_WAY)
             clear = clear or (grain > 0.0 and way > enough)
-            sure[i] = known or 0.0 < _GRAINS * grain < way or w.q_last[3, i] > 0.0
+            sure[i] = 0.0 < _GRAINS * grain < way or w.q_last[3, i] > 0.0 or (known and not stamped)
             moves = dt * abs(speed) > _STILL and (sure[i] or w.interval[()] > 1.0)
             found[i] = waits or moves
     ends = (w.q_last[3].max() + w.age[()] + 1.0) * dt > MAX_AGE
@@ -517,8 +517,8 @@ def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
     some loops catch up after a stall. A step that is up to 0.9 periods late, or up to half a period
     early, counts as one period; if a coarse clock has not changed for some steps, these bounds
     count for each of them. The lead, for `w.clock_ahead`, is the clock's time minus that of all
-    counted periods; thus the numbers add up to the true time. The lead decays by up to 5 % of dt in
-    each period, because the true period can differ by 5 % from dt. It is 0 for a coarse clock.
+    counted periods; thus the numbers add up to the true time. It is 0 for a coarse clock, and
+    decays by up to 5 % of dt in each period, because the true period can differ by 5 % from dt.
     """
     interval, steps, missed = (now - w.clock[()]) / dt, 1.0 + w.clock_rest[()], 0.0
     if not interval > 0.0:  # NaN too
@@ -613,13 +613,14 @@ def later_base(
     """The pose (3,) and the velocity (n_b,) of the base, `age` [s] after their readings.
 
     The velocity changes by the assumed accelerations of the last control periods; if the age is
-    negative, it is constant. If an entry of the velocity is NaN, the pose moves at the present
-    velocity, and the entry remains NaN. With an age above `_SELDOM`, all results are NaN.
+    negative, it is constant. If an entry of the velocity is missing or impossible, it becomes NaN,
+    and the pose moves at the present velocity. With an age above `_SELDOM`, all results are NaN.
     """
     w.base_late[()] = 1.0
     if not age <= _SELDOM:
         return np.full(3, math.nan), np.full(len(velocity), math.nan)
-    x, v, dt = pose.copy(), np.where(np.isnan(velocity), w.base_velocity, velocity), gains.dt
+    possible, dt = np.abs(velocity) <= 2.0 * robot.v_max, gains.dt  # not NaN
+    x, v = pose.copy(), np.where(possible, velocity, w.base_velocity)
     known, newest = int(max(min(round(age / dt), w.known[()]), 0.0)), int(w.periods[()])
     time = age - known * dt
     for k in range(known, -1, -1):  # k further periods
@@ -629,7 +630,7 @@ def later_base(
             v += dt * w.a_base_meas
         elif k > 1:
             v += dt * w.base_history[(newest - k + 2) % HISTORY]
-    return x, v + 0.0 * velocity
+    return x, np.where(possible, v, math.nan)
 
 
 @compiled()
@@ -640,19 +641,21 @@ def _differs(error: Array, way: float, turn: float) -> bool:
 
 
 @compiled()
-def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
+def _take_pose(robot: Any, w: Any, pose: Array, v: Array, time: float) -> None:
     """Update `w.pose_last` by a reading (3,) of the base's pose, `time` [s] after the last one.
 
     The base's velocity replaces an equal or invalid reading. The fault `localisation` shows a jump,
-    or recent changes of the pose that differ from the integral of the velocity by more than `_NEAR`
-    plus half of the path, also if no new reading has come for `_SELDOM`.
+    or recent changes of the pose that differ from the integral of v (n_b,) by more than `_NEAR`
+    plus half of the path, also without a new pose for `_SELDOM`. Jumps between poses of
+    `later_base` can also have half of the path in `_SELDOM`.
     """
     moved, decay = _motion(robot, w.pose_last[2], w.base_velocity, time), math.exp(-time / _RECENT)
+    shown = _motion(robot, w.pose_last[2], v, time)
     put(w.pose_last, w.pose_last + moved)
     put(w.pose_moved, w.pose_moved + moved)
-    put(w.pose_error, decay * (w.pose_error - moved))
-    w.pose_way[0] = decay * (w.pose_way[0] + math.hypot(moved[0], moved[1]))
-    w.pose_way[1] = decay * (w.pose_way[1] + abs(moved[2]))
+    put(w.pose_error, decay * (w.pose_error - shown))
+    w.pose_way[0] = decay * (w.pose_way[0] + math.hypot(shown[0], shown[1]))
+    w.pose_way[1] = decay * (w.pose_way[1] + abs(shown[2]))
     w.pose_age[()] += time
     if not math.isfinite(pose.sum()):
         put(w.pose_error, -w.pose_moved)
@@ -661,8 +664,9 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
     if not _same(pose, w.pose_read):
         jump = pose - w.pose_last
         jump[2] = (jump[2] + math.pi) % (2.0 * math.pi) - math.pi
-        way, turn = math.hypot(w.pose_moved[0], w.pose_moved[1]), abs(w.pose_moved[2])
-        jumped, compared = _differs(jump, way, turn), True
+        late = w.base_late[()] * _motion(robot, w.pose_last[2], w.base_velocity, _SELDOM)
+        path = np.abs(w.pose_moved) + np.abs(late)
+        jumped, compared = _differs(jump, math.hypot(path[0], path[1]), path[2]), True
         put(w.pose_error, w.pose_error + (jump + w.pose_moved))
         fill(w.pose_moved, 0.0)
         w.pose_age[()] = 0.0
@@ -674,12 +678,12 @@ def _take_pose(robot: Any, w: Any, pose: Array, time: float) -> None:
 
 @compiled()
 def _take_base(
-    robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fresh: bool, first: bool
+    robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, v: Array, fresh: bool, first: bool
 ) -> None:
     """Store the base's readings, and compare them with each other and with the drive's model.
 
-    `velocity` (n_b,) is the one in use. A pose that is not `fresh` counts as a repetition. The
-    fault `base` shows changes of velocity that the assumed acceleration does not explain.
+    `velocity` (n_b,) is the one in use, v is compared with the pose. A pose that is not `fresh` is
+    a repetition. The fault `base` shows changes of velocity that the drive does not explain.
     """
     time = w.elapsed[()]
     begins = first or w.known[()] == 0.0  # after a gap the motion is unknown
@@ -693,7 +697,7 @@ def _take_base(
         fill(w.pose_way, 0.0 if moved else math.inf)
         w.pose_age[()] = 0.0
     else:
-        _take_pose(robot, w, pose, time)
+        _take_pose(robot, w, pose, v, time)
     if not math.isnan(w.v_last[0]):
         astray = w.astray + velocity - w.v_last - time * w.a_base_meas
         put(w.astray, math.exp(-time / _FOLLOWS) * astray)
@@ -809,8 +813,7 @@ def _checked_positions(
     q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
     low, high = robot.q_limits
     half = 0.5 * (high - low)
-    lost = bool(np.any((q < low - half) | (q > high + half)))
-    w.faults[IMPLAUSIBLE] = lost
+    lost = w.faults[IMPLAUSIBLE] = bool(np.any((q < low - half) | (q > high + half)))
     return q, lost
 
 
@@ -822,11 +825,11 @@ def take_readings(
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, after 0.1 s without one, and from the fault `contradictory` until
-    `reset`. `readings` are the first five fields of a `Measurement`; `now` and `time` [s] are its
-    fields with these names.
+    `reset`. The arguments from `readings` on are fields of a `Measurement`, the first five first.
     """
     _use_stated_lag(gains, w)
-    base_pose, v, q_m, qd_m, drive = readings
+    read_pose, v, q_m, qd_m, drive = readings
+    base_pose = np.where(np.abs(read_pose) <= _EARTH, read_pose, math.nan)
     first, stamped, age, older = math.isnan(w.q_posture[0]), time == time, now - time, False
     q, lost = _checked_positions(robot, w, base_pose, q_m, drive, first)
     read, shown, missed = np.stack((q, qd_m)), np.stack((q, qd_m)), _watch_clock(w, now, gains.dt)
@@ -850,13 +853,15 @@ def take_readings(
     base_new = w.base_late[()] != 0.0 or not (stamped and not_new)
     moves = bool(np.any(v != 0.0))  # NaN too
     base_new = base_new and not (moves and _same(base_pose, w.pose_read) and _same(v, w.v_read))
-    velocity = _usable_velocity(robot, w, v, base_new, first)
-    _predict(robot, gains, w, velocity, base_new, missed)
+    wrong = _differs(w.pose_error + w.pose_moved, w.pose_way[0], w.pose_way[1])
+    velocity = _usable_velocity(robot, w, v, base_new and not wrong, first)
+    _predict(robot, gains, w, velocity, base_new and not wrong, missed)
     if not lost:
         older = _is_older(gains, w, read, old, age, first)
         if older:
             base_new, velocity = False, _usable_velocity(robot, w, v, False, first)
-    _take_base(robot, gains, w, base_pose, velocity, base_new, first)
+    v = v if wrong and np.all(np.abs(v) <= 2.0 * robot.v_max) else w.base_velocity.copy()
+    _take_base(robot, gains, w, base_pose, velocity, v, base_new, first)
     if lost or older:
         w.age[()] += 1.0
     else:
@@ -879,8 +884,7 @@ def _is_older(gains: Any, w: Any, read: Array, old: Array, age: float, first: bo
     time stamps do not show. A difference below 0.9 periods does not change the lag: jitter of the
     clock must not change the number of periods between two readings. A reading can be later by a
     part of a period than the counted periods and the lag assume. Clock and time stamp each show
-    this part; the motion in the smaller of these two parts is subtracted from the positions. If the
-    two have different signs, nothing is subtracted.
+    this part; the motion in the smaller part, if their signs agree, is subtracted from positions.
     """
     stamped, later, dt = not math.isnan(age), 0.0, gains.dt
     if stamped:
