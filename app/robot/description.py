@@ -238,5 +238,4 @@ def load_robot(name: str) -> RobotDescription:
     Errors: those of `check_robot_name` and `load_description`.
     """
     check_robot_name(name)
-    description = load_description(robot_folder(name) / "robot.toml")
-    return description.model_copy(update={"name": name})
+    return load_description(robot_folder(name) / "robot.toml").model_copy(update={"name": name})

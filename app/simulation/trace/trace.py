@@ -277,8 +277,7 @@ class History:
 
     def after(self, t: float) -> list[Stored]:
         """Snapshots later than `t` [s], oldest first."""
-        later = takewhile(lambda stored: stored.t > t, reversed(tuple(self._stored)))
-        return list(later)[::-1]
+        return [*takewhile(lambda stored: stored.t > t, reversed(tuple(self._stored)))][::-1]
 
 
 def columns_of(meta: TraceMeta) -> list[Column]:
