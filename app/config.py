@@ -456,7 +456,7 @@ def sections() -> tuple[Section, ...]:
         fields = schema["properties"].items()
         parameters = tuple(_read(f"{name}.{each}", field) for each, field in fields)
         title = _TITLES.get(name, name.capitalize())
-        found.append(Section(name, title, schema["description"], parameters))
+        found.append(Section(name, title, schema.get("description", ""), parameters))
     return tuple(found)
 
 
@@ -486,7 +486,6 @@ def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
     """`valid_text` of `explain` for a `Config`: the valid values, or None at an unknown place."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
-    known = tunables().get(".".join(map(str, loc)))
-    if known is None:
+    if (known := tunables().get(".".join(map(str, loc)))) is None:
         return None
     return f"must be {'' if known.choices else 'within '}{known.allowed}"

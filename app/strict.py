@@ -2,10 +2,13 @@
 
 import ast
 import codecs
+import errno
 import inspect
+import json
 import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from textwrap import dedent
@@ -155,9 +158,16 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
     return [r for a in getattr(annotation, "__args__", ()) for r in _records_in(a)]
 
 
+def regular(path: Path) -> Path:
+    """The `path`; an OSError if it is a pipe or a device, because reading it could last forever."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise OSError(errno.EINVAL, "it is a device or a pipe; name a file", str(path))
+    return path
+
+
 def content_of(path: Path) -> bytes:
     """The bytes of an untrusted text file; raises an OSError, or a ValueError above 10 MB."""
-    with path.open("rb") as file:
+    with regular(path).open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
     if len(content) > LARGEST_TEXT:
         raise ValueError(f"it has more than {LARGEST_TEXT / 1e6:.0f} MB, the largest valid size")
@@ -187,6 +197,20 @@ def from_toml(text: str) -> dict[str, Any]:
     return parsed(tomllib.loads, text, heavy=heavy)
 
 
+def from_json(text: str) -> Any:
+    """Parse an untrusted JSON text; raises the errors of `parsed`, also for a repeated key."""
+    return parsed(partial(json.loads, object_pairs_hook=_unique), text)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in content:
+            raise ValueError(f"the key {cut(repr(name))} appears twice in an object; remove one")
+        content[name] = value
+    return content
+
+
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
     """Parse a text; an error message also quotes the line and names a probable typo."""
     try:
@@ -194,18 +218,29 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
     except ValueError as error:
-        raise ValueError(f"{error}{_quoted(error, text)}{_slip(text)}") from None
+        raise ValueError(f"{error}{_quoted(error, text)}") from None
+
+
+_SLIPS = {  # typical errors at the place of an error, as patterns that take linear time
+    r"([“”„‘’‚«»]),?\n?": 'is a typographic quote; write "',
+    r"([:=] *-?[\d.]*\d,\d+)": "has a decimal comma; write a point",
+    r"([\u00a0\u2007\u202f\u200b\u2060\u2028\ufeff])": "is a special space; write a plain one",
+    r"e?([−–—])": "is a typographic minus or dash; write -",
+    r"(,)\s*[}\]]": "is before a closing bracket; take away the comma before it",
+}
 
 
 def _quoted(error: ValueError, text: str) -> str:
-    """The quoted line that an error of `loads` names, with advice on a wrong comma; or empty."""
-    found = re.search(r"line (\d+),? column", str(error))
+    """The quoted line that an error of `loads` names, and a typo there (`_SLIPS`); or empty."""
+    place = re.search(r"line (\d+),? column (\d+)", str(error))
     lines = text.split("\n")
-    if found is None or int(found[1]) > len(lines):
+    if place is None or int(place[1]) > len(lines):
         return ""
-    before = text[: getattr(error, "pos", 0)].rstrip()
-    comma = "; take away the comma before it" * before.endswith(",")
-    return f": {cut(repr(lines[int(found[1]) - 1].strip(' ')))}{comma}"
+    row = int(place[1]) - 1
+    at = sum(len(line) + 1 for line in lines[:row]) + int(place[2]) - 1
+    found = ((m, why) for p, why in _SLIPS.items() for m in re.finditer(p, f"{text}\n"))
+    slips = (f"; {m[1]!r} {why}" for m, why in found if m.start() <= at < m.end())
+    return f": {cut(repr(lines[row].strip(' ')))}{next(slips, '')}"
 
 
 _PLACEHOLDERS = (
@@ -244,23 +279,6 @@ def text_of(content: bytes) -> str:
         line = content[: error.start].decode(encoding, "ignore").count("\n") + 1
         raise ValueError(f"not {encoding} in line {line}; save the file as UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-_SLIPS = {  # typical errors from word processors, as patterns that take linear time
-    r"[“”„‘’‚«»]": 'is a typographic quote; write "',
-    r"[:=\[]\s*-?[\d.]*\d,\d+(e[-+]?\d+)?\s*([,}\]]\s*)?$": "has a decimal comma; write a point",
-    r"[\u00a0\u2007\u202f\u200b\u2060\u2028\ufeff]": "is a special space; write a plain one",
-    r"[−–—]": "is a typographic minus or dash; write -",
-}
-
-
-def _slip(text: str) -> str:
-    """The first match of `_SLIPS` in a text, with line number and correction; or empty."""
-    for number, line in enumerate(text.splitlines(), 1):
-        for pattern, why in _SLIPS.items():
-            if found := re.search(pattern, line.partition("#")[0] or line):
-                return f"; in line {number} {found[0].strip()!r} {why}"
-    return ""
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:

@@ -186,8 +186,7 @@ def _claimed(folder: Path) -> int:
     while True:
         folder.mkdir(mode=0o700, exist_ok=True)
         with suppress(FileNotFoundError):  # its former owner has just removed it
-            lock = _locked(folder)
-            if lock is not None:
+            if (lock := _locked(folder)) is not None:
                 return lock
         if time.monotonic() > end:
             who = "process" if folder.stat().st_uid == os.geteuid() else "user"
@@ -215,8 +214,7 @@ def remove_abandoned(place: Path) -> None:
     """Remove unfinished results of killed processes of this user from a folder."""
     for folder in place.glob(f"{_BEGUN}*"):
         with suppress(OSError):
-            lock = _locked(folder, surely=True)
-            if lock is not None:
+            if (lock := _locked(folder, surely=True)) is not None:
                 shutil.rmtree(folder, ignore_errors=True)
                 os.close(lock)
 
@@ -345,8 +343,7 @@ def cache_folders(*, make: bool = True) -> Iterator[Path]:
     """This user's cache folders: first the standard one, if the user has a home; second, if it is
     usable, one in the folder for temporary files. With `make`, the second one is created.
     """
-    usual = home_folder(platformdirs.user_cache_path)
-    if usual:
+    if usual := home_folder(platformdirs.user_cache_path):
         yield usual
     with suppress(OSError):  # no temporary folder either
         yield _private_folder(Path(tempfile.gettempdir()), make=make)
@@ -424,8 +421,7 @@ def flush_c_output() -> None:
 
 
 def _call_c(name: str, *args: int | None) -> None:
-    function = getattr(_c_library(), name, None)
-    if function is not None:
+    if (function := getattr(_c_library(), name, None)) is not None:
         function(*args)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from app.cli.main import main
 from app.config import FORMER_NAMES, Config
-from app.errors import DbbError, TargetError
+from app.errors import CaseError, DbbError, TargetError
 from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Pull
 from app.simulation.loop.ensemble import Ensemble
@@ -131,6 +131,8 @@ def test_case_with_former_names_of_parameters_is_read():
         ({"options": {"speed": 1}}, "speed"),
         ({"parameters": {"border.d_b": 9.0}}, "border.d_b"),
         ({"seed": -1}, "seed"),
+        ({"seed": True}, "seed: Input should be a valid integer (was True)"),
+        ({"parameters": {"border.d_b": True}}, "parameters.border.d_b"),
         ({"more": 1}, "more"),
         ({"parameters": {f"a.b{k}": 1.0 for k in range(1001)}}, "at most 1000"),
     ],
@@ -141,6 +143,12 @@ def test_invalid_case_is_refused_by_name(change, named):
         RunCase.read(json.dumps(json.loads(case.text()) | change), "mine.json")
     assert named in str(refused.value)
     assert "mine.json" in str(refused.value)
+
+
+def test_case_with_a_repeated_key_is_refused():
+    text = RunCase.of(RunSpec("husky_panda", PULL, Config(), "dbb", "planar")).text()
+    with pytest.raises(CaseError, match="the key 'seed' appears twice"):
+        RunCase.read(text.replace('"seed": 0', '"seed": 0, "seed": 5'), "mine.json")
 
 
 def test_posture_of_another_robot_is_refused(robot, border_data):

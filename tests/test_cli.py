@@ -630,6 +630,38 @@ def test_command_without_an_input_works_and_without_an_output_fails(
     assert (b"standard output: Bad file" in done.stderr) == (status == 2 and "2>" not in closed)
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        ("config > /dev/full", b"dbb: error: the standard output: No space left"),
+        ("x 2> /dev/full", b""),
+    ],
+)
+def test_full_output_is_named_and_the_status_is_2(words, error):
+    line = f'exec "{sys.executable}" -m app {words}'
+    done = subprocess.run(["sh", "-c", line], cwd=PROJECT, timeout=60, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr[: len(error)]) == (2, error)
+
+
+def test_parameters_are_known_without_docstrings():
+    words = [sys.executable, "-OO", "-m", "app", "config"]
+    done = subprocess.run(words, cwd=PROJECT, timeout=60, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "d_b = 0.15" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["border", "--out", ""], ["config", "--out="], ["report", ""], ["run", "--case", ""]],
+)
+def test_empty_value_is_refused(dbb, words, tmp_path, monkeypatch):
+    """An unset variable of the shell would otherwise stand for the working folder."""
+    monkeypatch.chdir(tmp_path)
+    refused(dbb(*words), "an argument" if words[0] == "report" else words[1].strip("="), "is empty")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("columns", ["1", "5", "0"])
 def test_help_ends_in_a_narrow_terminal(columns):
     process = command("reach", "--help", env={**os.environ, "COLUMNS": columns})

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,8 +19,9 @@ import pytest
 from app import system
 from app.cli.main import main
 from app.cli.options import configured
-from app.config_file import decode_config
-from app.errors import CaseError, ConfigError, LogError, UnknownNameError
+from app.config import Config
+from app.config_file import decode_config, read_config, save_config
+from app.errors import CaseError, ConfigError, DbbError, LogError, UnknownNameError
 from app.robot import assets
 from app.robot.description import load_description, load_robot
 from app.simulation.case import read_case
@@ -267,14 +269,16 @@ def test_log_survives_a_spreadsheet(tmp_path: Path, mark: str) -> None:
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        (b"[border]\nd_b = 0,2\n", "line 2 '= 0,2' has a decimal comma"),
-        ("name = “soft”\n".encode(), "line 1 '“' is a typographic quote"),
-        ("[border]\nd_b =\u00a00.2\n".encode(), "line 2"),
+        (b"[border]\nd_b = 0,2\n", "'d_b = 0,2'; '= 0,2' has a decimal comma"),
+        ("name = “soft”\n".encode(), "'name = “soft”'; '“' is a typographic quote"),
+        ("[border]\nd_b =\u00a00.2\n".encode(), "is a special space"),
+        (b'name = "soft\xe2\x80\x9d\n', "is a typographic quote"),
+        ("[border]\nd_b = 2e−1\n".encode(), "typographic minus"),
         ("[border]\nd_b = −0.2\n".encode(), "typographic minus"),
         ('name = "grün"\n'.encode("latin-1"), "not UTF-8 in line 1; save the file as UTF-8"),
         (b"\xff\xfea\x00\n\x00b", "not UTF-16 in line 2; save the file as UTF-8"),
         (b"[border]\nd_b = 1.234,5e-1\n", "has a decimal comma"),
-        ("[border]\nd_b = 0.2\u200b\n".encode(), r"'d_b = 0.2\u200b'; in line 2"),
+        ("[border]\nd_b = 0.2\u200b\n".encode(), r"'d_b = 0.2\u200b'; '\u200b' is a special space"),
         (b"[border]\nd_b = 0.2;\n", "(at line 2, column 10): 'd_b = 0.2;'"),
         (b'[border]\nd_b = "0.2"\n', "a number without quotes (was '0.2')"),
         (b"version https://git-lfs.github.com/spec/v1\n", "a Git LFS pointer"),
@@ -284,6 +288,58 @@ def test_log_survives_a_spreadsheet(tmp_path: Path, mark: str) -> None:
 def test_error_names_the_typing_mistake(content: bytes, named: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(named)):
         decode_config(content)
+
+
+@pytest.mark.parametrize("wrong", ["0.15 m", ".15", "0.15\nd_b = 0.2", '"a − b" c', '"a" # −\n['])
+def test_error_in_a_file_of_parameters_has_no_advice_about_other_places(wrong: str) -> None:
+    content = save_config(Config()).replace("d_b = 0.15", f"d_b = {wrong}").encode()
+    with pytest.raises(ConfigError, match="the file is not TOML") as error:
+        decode_config(content)
+    assert not re.search("typographic|has a|take away", str(error.value))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "advice"),
+    [
+        ('"seed": 0,\n}', "take away the comma"),
+        ('"seed": 0,\n"ver', ""),
+        ('"seed": 0,\n “version”: "1"}', "is a typographic quote"),
+        ('"duration": 0,2,\n"seed": 0}', "has a decimal comma"),
+        ('"name": "a − b",\n"start": [0,1', ""),
+    ],
+)
+def test_error_in_a_case_has_advice_only_about_its_place(
+    wrong: str, advice: str, tmp_path: Path
+) -> None:
+    (tmp_path / "c.json").write_text(f'{{"dbb_case": 1,\n{wrong}', encoding="utf-8")
+    with pytest.raises(CaseError, match="it is not JSON") as error:
+        read_case(tmp_path / "c.json")
+    given = re.findall(
+        "take away the comma|is a typographic quote|has a [a-z]+ comma|minus", str(error.value)
+    )
+    assert given == [advice] * bool(advice)
+
+
+READERS = {
+    "a.toml": read_config,
+    "a.json": read_case,
+    "a.csv": read_trace,
+    "a.parquet": read_trace,
+    "robot.toml": load_description,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_pipe_in_place_of_a_file_is_refused(name: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / name)
+    # Without the refusal, the reader would wait for ever: this writer ends that wait.
+    writer = threading.Thread(target=lambda: (tmp_path / name).open("wb").close(), daemon=True)
+    writer.start()
+    with pytest.raises(DbbError, match=f"{name}: .*it is a device or a pipe; name a file"):
+        READERS[name](tmp_path / name)
+    end = os.open(tmp_path / name, os.O_RDONLY | os.O_NONBLOCK)
+    writer.join()
+    os.close(end)
 
 
 def test_trailing_comma_is_named(tmp_path: Path) -> None:

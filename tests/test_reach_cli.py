@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import logging
 
@@ -12,6 +13,8 @@ import pytest
 from app.border import reach as reach_map
 from app.border.reach import FINE_SPACING, ReachMap, fit_reachability, sample_reach_map
 from app.cli.main import main
+from app.cli.method import _write_csv
+from app.errors import OutputError
 from app.robot.model import RobotModel
 
 FEW = 6000
@@ -105,3 +108,18 @@ def test_each_wrong_option_gives_one_clear_line(dbb, args, words):
     assert len(err.splitlines()) == 1
     assert err.startswith("dbb: error: ")
     assert not [word for word in words if word not in err], err
+
+
+def test_full_disk_leaves_the_previous_table(tmp_path, monkeypatch):
+    """Also a table of `dbb border`."""
+    before, path = np.savetxt, tmp_path / "a.csv"
+
+    def half(file, rows, *others, **more):
+        before(file, rows[:1], *others, **more)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path.write_text("old")
+    monkeypatch.setattr(np, "savetxt", half)
+    with pytest.raises(OutputError, match=r"cannot write .*a\.csv: No space left"):
+        _write_csv(path, "x_m", np.ones((3, 1)), "%.1f")
+    assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("a.csv", "old")]

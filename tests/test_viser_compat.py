@@ -6,6 +6,7 @@ import ast
 import asyncio
 import dataclasses
 import logging
+import socket
 import time
 import warnings
 import zipfile
@@ -37,6 +38,7 @@ OURS = {"_replace", "_fields", "_exit"}
 OF_THE_SERVER = {"_websock_server"}
 OF_A_CLIENT = {"_websock_connection", "_viser_server"}
 OF_ITS_CAMERA = {"_state"}
+OF_A_LOOP = {"_transports"}
 OF_A_WIDGET = {"_impl"}
 OF_CONNECTIONS = {
     "_live_connections",
@@ -79,6 +81,7 @@ def test_viser_has_the_private_names() -> None:
             (gui.add_checkbox("box", False), OF_A_WIDGET),
             (server._websock_server, OF_CONNECTIONS),
             (asyncio.Event(), OF_AN_EVENT),
+            (server._websock_server._background_event_loop, OF_A_LOOP),
             (viser, {"_messages", "_gui_api", "_gui_handles", "_icons"}),
         ):
             assert [name for name in names if not hasattr(owner, name)] == []
@@ -114,6 +117,18 @@ def test_slow_shutdown_of_a_server_prints_nothing(capfd) -> None:
     close_server(server)
     time.sleep(0.7)
     assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("request_", [b"", b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"])
+def test_server_ends_before_a_client_reads_or_asks(request_: bytes) -> None:
+    server = open_server("127.0.0.1", 0)
+    with socket.create_connection(("127.0.0.1", server.get_port())) as client:
+        client.sendall(request_)
+        if request_:
+            client.recv(1)  # the answer is larger than the buffers of both ends
+        begin = time.monotonic()
+        close_server(server)
+        assert time.monotonic() - begin < 5.0  # [s] websockets itself waits for 10 s
 
 
 def test_invalid_messages_of_a_page_are_ignored() -> None:

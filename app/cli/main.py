@@ -27,6 +27,7 @@ COMMANDS = {  # the commands by topic, each with the module that defines its fun
     "Robots": dict.fromkeys(("robots", "new-robot", "check-robot"), "robots"),
 }
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
+_FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF  # errors of a full or closed output
 _NARROWEST = 40  # [-] smallest number of columns of a help text
 
 
@@ -75,21 +76,19 @@ def main(args: list[str] | None = None) -> None:
             raise
         fault = f"a library cannot be loaded: {error}"
     except OSError as error:
-        where = "" if error.filename is None else f"{error.filename}: "
-        try:
-            sys.stdout.flush()
-        except OSError as lost:  # the output cannot be written
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            if not where:
-                error, where = lost, "the standard output: "
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
-        fault = f"{where}{error.strerror or error}"
+        where = error.filename or ("the standard output" if error.errno in _FULL else "")
+        fault = f"{where}: {error.strerror or error}".removeprefix(": ")
     except KeyboardInterrupt:
-        print("dbb: interrupted", file=sys.stderr)
-        sys.exit(130)
-    print(printable(f"dbb: error: {fault}"), file=sys.stderr)
-    sys.exit(2)
+        _end("interrupted", 130)
+    _end(f"error: {fault}", 2)
+
+
+def _end(text: str, status: int) -> NoReturn:
+    with suppress(OSError):  # the standard error is full, too
+        print(printable(f"dbb: {text}"), file=sys.stderr)
+    sys.exit(status)
 
 
 class _Plain(logging.Formatter):

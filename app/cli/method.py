@@ -12,7 +12,7 @@ from app.config import tunables
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError, check_name
 from app.strict import Array, check_range
-from app.system import write_whole
+from app.system import whole_file, write_whole
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
@@ -191,7 +191,8 @@ def _write_csv(path: Path, header: str, rows: Array, form: str) -> None:
     import numpy as np
 
     known = rows[~np.isnan(rows).any(axis=1)]
-    np.savetxt(path, known, form, ",", header=header, comments="")
+    with whole_file(path) as beside:
+        np.savetxt(beside, known, form, ",", header=header, comments="")
 
 
 def config(

@@ -242,7 +242,7 @@ def in_order(words: Iterable[str]) -> list[str]:
 
     The home folder replaces `~` at the start of a value (a shell does not replace it in
     `--out=~/a`), except in the values of `_TEXTS`. If another option than `--allow-host` appears
-    several times, this raises a ConfigError.
+    several times, or a value not of `_TEXTS` is empty, this raises a ConfigError.
     """
     before: list[str] = []
     groups: dict[str, list[list[str]]] = {}  # each option with its values
@@ -255,6 +255,9 @@ def in_order(words: Iterable[str]) -> list[str]:
             groups.setdefault(name, []).append(group)
         else:
             group.append(word if name in _TEXTS else os.path.expanduser(word))
+        if name not in _TEXTS and group[-1] in ("", f"{name}="):
+            hint = "a variable of the shell is probably unset"
+            raise ConfigError(f"{name or 'an argument'}: the value is empty; {hint}")
     for name, each in groups.items():
         once = [name, *(v for head, *rest in each for v in (*head.split("=", 1)[1:], *rest))]
         if name == "--allow-host":

@@ -32,9 +32,10 @@ from websockets.protocol import CONNECTING
 
 from app.dashboard.gate import LARGEST_PICTURE, Gate, RefusedError
 from app.dashboard.notifications import Notifier
-from app.strict import parsed
+from app.strict import from_json
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
+_GRACE = 0.3  # [s] time of regular connections to close; then all others are broken off
 _ENDING = 10.0  # [s] timeout for the end of viser's thread
 LOOK = 0.5  # [s] period of checks of the connections
 SILENT = 3  # [checks] without an answer, after which a viewer counts as silent
@@ -122,10 +123,16 @@ def open_server(
 def close_server(server: viser.ViserServer) -> None:
     """Stop a server, and wait for the end of its network thread, at most `_ENDING`."""
     with contextlib.redirect_stdout(io.StringIO()):
+        if loop := server._websock_server._background_event_loop:
+            loop.call_soon_threadsafe(loop.call_later, _GRACE, _break_off, loop)
         server.stop()
-        thread = server._websock_server._server_thread
-        if thread is not None:
+        if (thread := server._websock_server._server_thread) is not None:
             thread.join(_ENDING)  # viser waits for a second and then prints a message
+
+
+def _break_off(loop: Any) -> None:
+    for transport in tuple(loop._transports.values()):  # also with an unread answer or no request
+        transport.abort()
 
 
 def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
@@ -216,7 +223,7 @@ class Channel:
         if event.client is None:
             return
         try:
-            _, word, *values = parsed(json.loads, event.target.value)
+            _, word, *values = from_json(event.target.value)
             act, kind = self._acts[word]
             values = [kind(value) for value in values]
             signature(act).bind(*values)
@@ -327,16 +334,12 @@ class _Buffer(AsyncMessageBuffer):
 _archive = cache(lambda: zipfile.ZipFile(_icons.ICONS_DIR / "tabler-icons.zip"))  # opens in 50 ms
 
 
-@cache
-def _icon(name: str) -> str:
-    return _archive().read(f"{name}.svg").decode("utf-8")
-
-
 def _replace_parts_of_viser() -> None:
     """Replace viser's queue of messages, and its slow searches of type hints and of icons."""
     hints = cache(get_type_hints)
     of_class = property(lambda self: hints(type(self._impl.props)))
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
     setattr(AssignablePropsBase, "_prop_hints", of_class)  # noqa: B010
+    icon = cache(lambda name: _archive().read(f"{name}.svg").decode("utf-8"))
     for module in (_gui_api, _gui_handles):
-        setattr(module, "svg_from_icon", _icon)  # noqa: B010
+        setattr(module, "svg_from_icon", icon)  # noqa: B010

@@ -187,8 +187,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
     """PNG of the borders at half the height of l_m, and d_b/2 above l_m; None without a border."""
     model, d_b = robot.model, robot.request.buffer
     eps = model.description.config.border.eps
-    clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
-    if not clouds:
+    if not (clouds := [cloud for cloud in data.clouds.values() if len(cloud)]):
         return None
     offset = offset_contours(model, d_b)
     meshes = model.placed_meshes(_ORIGIN, robot.ready.q_m)

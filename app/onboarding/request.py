@@ -171,8 +171,7 @@ def check_request(request: Request) -> None:
     kind = request.kind
     check_name("kind of base", kind, KINDS)
     for field, bounds in BOUNDS.items():
-        value = getattr(request, field)
-        if value is None:
+        if (value := getattr(request, field)) is None:
             continue
         check_range(option(field), value, *bounds[:3])
         if bounds.kind not in ("", kind):

@@ -358,8 +358,7 @@ def _larger_part(v: Array) -> float:
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
     """A warning of base motions that the arm often (over 25 %) cannot compensate, or empty."""
-    often = [each for each in carried if each.place > OFTEN]
-    if not often:
+    if not (often := [each for each in carried if each.place > OFTEN]):
         return ""
     motions = ", or while it ".join(
         f"{each.text} (in {each.place:.0%} of the postures near the base; in {each.pose:.0%} if "

@@ -139,8 +139,7 @@ def resolve_package_uri(uri: str) -> Path:
     package, _, inner = rest.partition("/")
     if scheme != "package" or not inner:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
-    roots = package_roots(package)
-    if not roots:
+    if not (roots := package_roots(package)):
         # No advice for other packages: the name comes from a file, and anyone can register it.
         how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
         how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how

@@ -74,8 +74,7 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
     """
     if (words := stated(element, key, where)) is None:
         return np.array(default)
-    values = floats(words, len(default))
-    if values is None:
+    if (values := floats(words, len(default))) is None:
         wanted = "a number" if len(default) == 1 else f"{len(default)} numbers"
         raise RobotFileError(f"{where}: {key}={words!r} should be {wanted}{without_commas(words)}")
     return np.array(values)

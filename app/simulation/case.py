@@ -17,7 +17,7 @@ from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
-from app.strict import MAX_SEEDS, Strict, explain, file_text, parsed
+from app.strict import MAX_SEEDS, Strict, explain, file_text, from_json
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {RANDOM_PULL.name: RANDOM_PULL}
 _MAX_ENTRIES = 1000  # [-] largest number of options, or of parameters; usual numbers are below 100
@@ -114,13 +114,13 @@ class RunCase(Strict):
     def read(cls, text: str, where: object) -> Self:
         """Read a case from a text; raises a CaseError that names the file `where` and the fault."""
         try:
-            content = parsed(json.loads, text)
+            content = from_json(text)
         except ValueError as error:
             raise CaseError(f"{where} is not a case: it is not JSON ({error})") from None
         if not isinstance(content, dict) or FORMAT not in content:
             raise CaseError(f"{where} is not a case: it has no {FORMAT!r}")
         try:
-            case = cls.model_validate_json(json.dumps(content))
+            case = cls.model_validate_json(json.dumps(content), strict=True)
             check_robot_name(case.robot)
             check_name("controller", case.controller, CONTROLLERS)
             chosen_plant(case.physics)

@@ -44,8 +44,7 @@ class TimelinePanel(Panel):
             self._channel.tell("rows", [[round(x, 3) for x in row] for row in rows])
         self._sent = strip.runs, strip.closed
         events = dict(strip.events)
-        new = [(k, *each) for k, each in events.items() if self._events.get(k) != each]
-        if new:
+        if new := [(k, *each) for k, each in events.items() if self._events.get(k) != each]:
             self._channel.tell("events", new)
         self._events = events
         marks = [None if x is None else round(x, 3) for x in (line.begin, line.end)]

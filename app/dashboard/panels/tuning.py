@@ -100,8 +100,7 @@ def changing_html(newest: Snapshot) -> str:
 
 def file_name(name: str) -> str:
     """Return a file's name such as `stiff arm.toml`; "-" replaces forbidden characters."""
-    safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
-    return f"{safe or FIRST_NAME}.toml"
+    return (re.sub(r"[^\w .+-]", "-", name).strip(" .") or FIRST_NAME) + ".toml"
 
 
 class ParameterWidget(Panel):

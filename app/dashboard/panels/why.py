@@ -137,8 +137,7 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if not why.solved:
         cause = "the readings are invalid or the solver found no solution"
         return f"Fallback command, because {cause}: torques damp the arm, and the base brakes."
-    pair = why.bearing
-    if pair is None:
+    if (pair := why.bearing) is None:
         name, _, d, *_ = snapshot.nearest
         a, _, b = name.partition("-")
         near = f"{_the(b, why)} is {millimetres(d)} from {_the(a, why)}"
@@ -212,8 +211,7 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
     """Describe the base's motion, or at rest its next commanded motion; None if there is none."""
     ahead = pair.n[0] > -0.5  # in front of the base or beside it
-    moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
-    if moves is not None:
+    if (moves := words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)) is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
         return f"the base {moves}" + (", at its speed limit" if top else "")
     will = words.motion(planar(why.axes, why.commanded_acceleration), ahead=ahead, intended=True)

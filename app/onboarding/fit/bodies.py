@@ -117,8 +117,7 @@ class ArmFitter:
             needed = [self._meetings.needed(u, others) for u in group]
             whole = [np.ones(len(unit.surface), dtype=bool) for unit in units]
             links = tuple(link for unit in units for link in unit.links)
-            fitted = self._smallest(units, needed) or self._smallest(units, whole)
-            if fitted is None:
+            if (fitted := self._smallest(units, needed) or self._smallest(units, whole)) is None:
                 why = f"the links {', '.join(links)} have no shapes for a body"
                 raise RobotFileError(f"{why}; change --bodies")
             fits, joint = fitted

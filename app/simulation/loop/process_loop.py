@@ -143,8 +143,7 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
     """Forward commands, snapshots and at last the loop's error; a closed pipe raises an error."""
     posted, beat = None, monotonic()
     while loop.error is None:
-        latest = loop.latest()
-        if latest is not posted:
+        if (latest := loop.latest()) is not posted:
             last = posted.t if posted is not None and latest.follows(posted) else -math.inf
             for posted in loop.history(last) or [latest]:
                 snapshots.send(posted)

@@ -306,8 +306,7 @@ class StartSolver(PostureSearch):
             return "out of reach with the end-effector pointing away from the mount"
         if flaw := self.flaw(_FLOOR_MARGIN, _BUFFER_MARGIN):
             return flaw
-        beyond_buffer = self.beyond_buffer()
-        return self._room(q, along) + min(beyond_buffer, 0.1)
+        return self._room(q, along) + min(self.beyond_buffer(), 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
         """[-] number of positions reached along the path, plus joint margin and manipulability."""

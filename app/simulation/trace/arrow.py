@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from app.errors import LogError
 from app.jobs.bounded import SMALL, within_budget
-from app.strict import file_text
+from app.strict import file_text, regular
 from app.system import write_whole
 
 _KEY = b"dbb_log"
@@ -23,7 +23,7 @@ def read_arrow(path: Path) -> tuple[str, pa.Table]:
     """Read header and table of an untrusted file; a missing or faulty file raises a LogError."""
     try:  # a small Parquet file can contain millions of equal rows
         smallest = 0 if path.suffix.lower() == ".csv" else SMALL + 1
-        return within_budget(_read, path, size=max(path.stat().st_size, smallest))
+        return within_budget(_read, path, size=max(regular(path).stat().st_size, smallest))
     except FileNotFoundError:
         raise LogError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
@@ -85,5 +85,4 @@ def _read_parquet(path: Path) -> tuple[str, pa.Table]:
     for k, field in enumerate(table.schema):
         if pa.types.is_dictionary(field.type):  # expanded here, where the budget limits the memory
             table = table.set_column(k, field.name, table.column(k).cast(field.type.value_type))
-    metadata = table.schema.metadata or {}
-    return metadata.get(_KEY, b"").decode("utf-8"), table
+    return (table.schema.metadata or {}).get(_KEY, b"").decode("utf-8"), table

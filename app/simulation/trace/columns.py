@@ -16,7 +16,7 @@ from app.config import Config
 from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.strict import Array, Positive, Strict, parsed
+from app.strict import Array, Positive, Strict, from_json
 
 Kind = Literal["float", "int", "bool", "text"]
 Cell = float | int | bool | str
@@ -200,7 +200,7 @@ def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
         return frozen(data) if hints[name] is np.ndarray else data
 
     def value(cells: Sequence[str], _: TraceMeta) -> tuple[Any, ...]:
-        rows = parsed(json.loads, cells[0] or "[]")
+        rows = from_json(cells[0] or "[]")
         return tuple(kind(**{k: field(k, v) for k, v in row.items()}) for row in rows)
 
     return Quantity(lambda _: (Column(name, "text"),), cells, value, take)
@@ -221,4 +221,4 @@ def _changes(first: Config, config: Config) -> str:
 
 @lru_cache(maxsize=64)
 def _changed(first: Config, text: str) -> Config:
-    return first.changed(parsed(json.loads, text)) if text else first
+    return first.changed(from_json(text)) if text else first

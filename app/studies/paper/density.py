@@ -83,8 +83,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
         cloud = sources.data.clouds[pair.name]
         share = min(1.0, PAPERS_COUNT / len(sources.border_of(pair)))
         clouds[pair.name] = thinned(cloud, round(share * len(cloud)))
-    data = replace(sources.data, clouds=clouds)
-    return run_from_spec(experiment, sources.model, data).figures
+    return run_from_spec(experiment, sources.model, replace(sources.data, clouds=clouds)).figures
 
 
 def thinned(whole: Points, count: int) -> Points:

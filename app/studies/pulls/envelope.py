@@ -35,8 +35,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
     def stated(cls) -> Self:
         """The envelope that the project states; a `StudyError` if its file is damaged."""
         try:
-            content = from_toml(STATED.read_text(encoding="utf-8"))
-            return cls.model_validate(content["envelope"])
+            return cls.model_validate(from_toml(STATED.read_text(encoding="utf-8"))["envelope"])
         except ValidationError as error:
             raise StudyError(f"{STATED}: {explain(error, cls)}") from None
         except (OSError, ValueError, KeyError) as error:

@@ -364,8 +364,7 @@ def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> 
 
 def _failures(rows: Rows) -> Part:
     """The table of failed cases, at most the 200 with the smallest forces."""
-    bad = sorted(filter(failed, rows), key=exerted)
-    if not bad:
+    if not (bad := sorted(filter(failed, rows), key=exerted)):
         return Part("Failures", text=["No case failed."])
     body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:200]]
     more = f" The table has {len(body)} of {len(bad)} failures." if len(bad) > len(body) else ""

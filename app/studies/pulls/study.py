@@ -14,7 +14,7 @@ from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.simulation.case import RunCase
-from app.strict import file_text, parsed
+from app.strict import file_text, from_json
 from app.studies.pulls import case
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
@@ -169,7 +169,7 @@ class Journal(AbstractContextManager["Journal"]):
                 break  # cut off
             whole += len(line)
             try:
-                row = parsed(json.loads, line.decode())
+                row = from_json(line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
                 why = f"line {number} of {path} is damaged"
@@ -184,7 +184,7 @@ def _check_identity(folder: Path, identity: dict[str, Any]) -> None:
         write_json(path, identity)
         return
     try:
-        stored = parsed(json.loads, file_text(path))
+        stored = from_json(file_text(path))
     except ValueError:
         raise StudyError(f"--out: {path} is damaged; choose another folder") from None
     if stored != identity:
@@ -238,8 +238,7 @@ def _client(scheduler: str) -> Any:
         if not digests:
             why = f"--scheduler: {scheduler} has no workers"
             raise StudyError(f"{why}; start some by `dask worker {scheduler}`")
-        strange = [worker for worker, digest in digests.items() if digest != code_digest()]
-        if strange:
+        if strange := [worker for worker, digest in digests.items() if digest != code_digest()]:
             names = ", ".join(strange)
             raise StudyError(f"--scheduler: {names} of {scheduler} runs code of another version")
         stack.pop_all()  # no error: the client stays connected
