@@ -123,7 +123,7 @@ def open_server(
 def close_server(server: viser.ViserServer) -> None:
     """Stop a server, and wait for the end of its network thread, at most `_ENDING`."""
     with contextlib.redirect_stdout(io.StringIO()):
-        if loop := server._websock_server._background_event_loop:
+        if (loop := server._websock_server._background_event_loop) and not loop.is_closed():
             loop.call_soon_threadsafe(loop.call_later, _GRACE, _break_off, loop)
         server.stop()
         if (thread := server._websock_server._server_thread) is not None:
