@@ -198,8 +198,7 @@ def _pack(cloud: Cloud) -> tuple[Array, Array, Array]:
     blocks, points = blocks[order], cloud.points[order]
     steps = np.diff(blocks, axis=0, prepend=np.zeros((1, 3), dtype=int)).astype(np.int16)
     places = (points - blocks * _BLOCK).astype(np.uint8)
-    distances = cloud.distances[order, None]
-    return _bytes(steps), np.ascontiguousarray(places.T), _bytes(distances)
+    return _bytes(steps), np.ascontiguousarray(places.T), _bytes(cloud.distances[order, None])
 
 
 def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:

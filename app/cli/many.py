@@ -82,8 +82,7 @@ def sweep(
         plan["controllers"] = [name for name in ",".join(plan["controllers"]).split(",") if name]
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
-    robot = plan.get("robot", SweepPlan.robot)
-    tuned = options.configured(robot, config, parameter, _OF_SWEEP)
+    tuned = options.configured(plan.get("robot", SweepPlan.robot), config, parameter, _OF_SWEEP)
     made = SweepPlan(**plan, config=tuned)
     options.check_seed(made.seed)
     workers = options.check_processes(processes)

@@ -164,8 +164,7 @@ def _reach_of(name: str, model: RobotModel, seed: int, out: Path | None) -> dict
     fit = maps.fit_reachability(found)
     if out is not None:
         shells = radial_profile(found.rho, found.reach)
-        fitted = fit.at(shells.rho_m)
-        columns = shells.rho_m, shells.mean, shells.spread, fitted, shells.count
+        columns = shells.rho_m, shells.mean, shells.spread, fit.at(shells.rho_m), shells.count
         rows, header = np.column_stack(columns), "rho_m,mean,spread,fit,positions"
         _write_csv(out / f"reach-{name}-radial.csv", header, rows, "%.6g")
         rows = np.column_stack([found.points, found.rho, found.reach, found.found])
