@@ -141,9 +141,9 @@ class ForceConfig(Strict):
     between `alpha_min` and `alpha_max`. For a car-like base, S is divided by S_u (docs/bases.md).
     On a holonomic base S_0 has almost no effect: S is large there, and α is `alpha_min`."""
     alpha_min: float = number(0.02, 0.0, 0.10, "Smallest step α_min")
-    """[m] lower bound of α of (13), the size of the step from p_n along the border's tangent."""
+    """[m] lower bound of α of (13), the largest size of the step (12) from p_n to p_t."""
     alpha_max: float = number(0.15, 0.10, 0.40, "Largest step α_max")
-    """[m] upper bound of α of (13), the size of the step from p_n along the border's tangent."""
+    """[m] upper bound of α of (13), the largest size of the step (12) from p_n to p_t."""
 
 
 class ActivationConfig(Strict):
@@ -191,9 +191,9 @@ class EeHoldConfig(Strict):
     """Reduction of avoidance motions of the base that drag the end-effector along."""
 
     min_speed: float = number(0.2, 0.01, 2.0, "Holding speed", advanced=True)
-    """[m/s] v_h. If joints at full speed move the end-effector at v_h in a direction, half of the
-    base's motion in this direction counts as motion that the arm cannot compensate. At a speed far
-    below v_h, almost all of it counts, at 2 v_h one seventeenth."""
+    """[m/s] v_h. The share 1/(1 + (s/v_h)⁴) of the base's motion in a direction counts as motion
+    that the arm cannot compensate. s is the root of the sum of squares of the speeds at which the
+    single joints can move the end-effector in this direction. For s = v_h the share is one half."""
     weight: float = number(3000.0, 0.01, 1e5, "End-effector hold weight")
     """[-] weight of the end-effector's motion that the base causes and the arm cannot compensate,
     as a multiple of the base's mass; it is also multiplied by β_m of (28)."""

@@ -13,7 +13,7 @@ POINT_RANGE = 3.2  # [m] largest coordinate that can be stored
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """P_i, the sampled points of one pair of arm and base (L_m), sorted by height."""
+    """P_i, the sampled points of pair i of L_m (arm and base), sorted by height."""
 
     pair: str  # name of the pair, such as `lm-lEE`
     points: Array

@@ -163,7 +163,7 @@ class SectorJob(NamedTuple):
 
 
 def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> Kept:
-    """Draw random postures, and return those whose closest points are in the shell around l_m."""
+    """Draw random postures, and return those whose distance to l_m is in (`d_low`, `d_high`)."""
     (pair, seed), config = job, context.config
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))

@@ -81,7 +81,7 @@ class ScoreField:
 @compiled()
 def field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
     """R of (9), S of (10) and (11), and ∇S (3,), at p (3,) [m], from `ScoreField.coefficients`.
-    At the mount, where ∇R is undefined, it counts as 0.
+    Low R is modified as in `ScoreField.reachability`; ∇R, undefined at the mount, is 0 there.
     """
     constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
     A, B, C = coefficients[6], coefficients[7], coefficients[8]

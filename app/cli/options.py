@@ -156,8 +156,8 @@ class Setup:
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb (the paper's method), hqp (dbb with (26) to (29) as printed, without joint limits and
-    barriers; slower), repulsive or barrier (methods for comparison), or none (no avoidance)."""
+    """dbb (the paper's method), hqp (dbb with (26) to (29) as printed, a border of points, and no
+    joint limits or barriers; slower), repulsive, barrier (to compare), or none (no avoidance)."""
     physics: str = field(default_factory=default_plant)
     """planar (pybullet; three velocity-controlled joints move the base), mujoco (the same model in
     MuJoCo), mujoco-contact (MuJoCo, base on driven wheels) or kinematic (no physics engine)."""

@@ -99,7 +99,7 @@ def clocks_differ(measurement: Measurement) -> MeasurementError:
 def rounding(measurement: Measurement, dt: float) -> str:
     """A note if single precision has rounded a time to multiples of more than dt [s], else "".
 
-    Smaller whole numbers than a UNIX time are rather a clock in ms or µs, and so is a large age.
+    A whole number below a UNIX time, or a large age, gives no note: it is rather in ms or µs.
     """
     times = {name: np.float64(getattr(measurement, name)) for name in ("now", "time", "base_time")}
     for name, value in times.items():

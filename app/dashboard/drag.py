@@ -1,4 +1,4 @@
-"""Pulls of a viewer: by a gizmo or by keys at the end-effector, or by a drag of a link."""
+"""A viewer pulls the end-effector by a gizmo or keys, or an arm's link by a drag."""
 
 from collections.abc import Callable, Sequence
 from threading import RLock

@@ -38,7 +38,7 @@ class PlotPlan(NamedTuple):
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
-    """Return all plots for the link pairs `names`, and for `door`, the pair of base and door."""
+    """Return all plots; `names` are the link pairs, and `door` is the pair of base and door."""
     axes, joints = model.description.base.axes, model.description.arm.joints
     colours = (*map(_series, range(len(axes) - 2)), css(PERSON), css(ACTING))[-len(axes) :]
     torques = tuple(map(_torque, range(len(joints)), joints, model.tau_max, model.joint_units))

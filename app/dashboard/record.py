@@ -142,7 +142,7 @@ class Strip:
         self._before = snapshot
 
     def _close(self) -> None:
-        """Add the row of a bin; of every two bins, store the snapshot with the least distance."""
+        """Add a bin's row; of each pair of bins, store the snapshot with the least distance."""
         nearest = min(self._bin, key=lambda snapshot: snapshot.nearest.d)
         beta = max((pair.beta for s in self._bin for pair in s.pairs), default=0.0)
         self.rows.append((self._bin[0].t, nearest.nearest.d, beta, nearest.d_b))

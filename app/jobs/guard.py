@@ -60,7 +60,7 @@ def guarded(
 
 
 def main(heard: int, lives: int, pid: int, patience: float, numbers: Sequence[int]) -> None:
-    """Wait for the announcement in `heard`; kill `pid` if it still runs `patience` [s] later."""
+    """Kill `pid` if it still runs `patience` [s] after its announced end (see the top)."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     wake_without_parent()

@@ -265,7 +265,7 @@ def arm_row(model: RobotModel) -> Row:
 
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
-    """The geometry of the robot's links, extended by the motions of some links; see `filled`."""
+    """The geometry of the robot's links; that of some links covers their motions: see `filled`."""
     resolved_urdf(model.description)  # refuses damaged meshes
     tree = make_tree(read_robot(urdf_path(model.description))[0])
     chain = [tree.joints[name] for name in model.description.arm.joints]

@@ -244,7 +244,7 @@ def _in_reduced(rows: Array, B: Array) -> Array:
 def reduced_dynamics(
     M: Array, h: Array, J: Array, Y: Array, B: Array
 ) -> tuple[Array, Array, Array]:
-    """Sᵀ M S (n, n), Sᵀ h and Sᵀ g (n,), S = diag(B, 1); M, h, J, Y are from `pinocchio_views`."""
+    """Sᵀ M S (n, n), Sᵀ h, Sᵀ g (n,), S = diag(B, 1); `pinocchio_views` has M, h, J, Y (for g)."""
     n_b, g = B.shape[1], np.empty(len(h))
     for k in range(len(h)):  # weight of the moved bodies times vertical velocity of their centre
         moved = Y[max(k - 1, 1)]  # the first three velocities are those of joint 1

@@ -143,8 +143,8 @@ class Canvas:
     def segments(self, name: str, ends: Array, colours: Array, pixels: float) -> None:
         """Draw straight segments between their ends (N, 2, 3) [m]; `pixels` is the width.
 
-        Colours are uint8: (3,) in sRGB for all segments, or (N, 2, 3) in linear colours. Use one of
-        these shapes for each node: viser can draw a node in white after a change of the shape.
+        Colours are uint8: (3,) in sRGB for all segments, or (N, 2, 3) in linear colours. All
+        calls with one `name` need the same shape: viser can draw a node in white after a change.
         """
         look = {"thickness": pixels, "thickness_units": "screen"}
         node = self._node(name, self._scene.add_line_segments, ends, colours, **look)

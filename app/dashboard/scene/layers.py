@@ -131,7 +131,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """Label all robots if a ghost is not at the robot; `at` (3,) [m] is in each base's frame."""
+    """Label robots if a ghost's pose or posture differs; `at` (3,) [m] is in each base's frame."""
     base, q_m = snapshot.base_pose, snapshot.q_m
     apart = [np.append(ghost.base_pose - base, ghost.q_m - q_m) for ghost in snapshot.ghosts]
     if all(np.abs(each).max() < SAME for each in apart):

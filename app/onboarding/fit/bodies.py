@@ -92,7 +92,7 @@ def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
 
 
 class ArmFitter:
-    """Fits the bodies of an arm for several groupings of its units; l_m has the units `mobile`."""
+    """Fits an arm's bodies for several groupings of its units; the units `mobile` are on l_m."""
 
     def __init__(
         self, model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)

@@ -99,7 +99,7 @@ class Meetings:
         return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
 
     def monitored_from(self, pair: tuple[int, int]) -> float:
-        """Largest d_b [m] that the distance exceeds in 60 % of the free postures; 0 if invalid."""
+        """Largest d_b [m] that the distance exceeds in 60 % of free postures; 0 if too small."""
         # The share 1 − `ALWAYS` would be sufficient for the links, but their bodies are larger.
         distances = self.random.distances
         gaps = distances[_free_postures(distances), self.pairs.index(pair)]

@@ -47,7 +47,7 @@ class Ensemble:
 
     @property
     def main(self) -> Session:
-        """The main robot's session: `free`, or a separate one for a scenario with a door."""
+        """The main robot's session: the argument `free`, or another if a scenario has a door."""
         return self._led.session
 
     @property

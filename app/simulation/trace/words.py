@@ -22,8 +22,8 @@ _NOTHING = 5e-7  # [-] numbers below this one count as rounding errors
 def body(name: str, chain: Sequence[str]) -> str:
     """The displayed name of a body by its position in the chain, such as "base" or "forearm".
 
-    `chain` has the names of all bodies from the mobile base outwards, with a held door as `door`. A
-    body with four or more bodies of the arm farther outwards is called "link", then its own name.
+    `chain` has the names of all bodies from the mobile base outwards, with a held door as `door`.
+    The four outermost bodies of the arm get such names; any other is "link", then its own name.
     """
     if name == chain[0]:
         return "base"

@@ -45,7 +45,7 @@ _OF_DOOR = (
 
 @style.picture("fig11", "Figure 11: tracking of a line towards the base", *_TRACKED.values())
 def figure_11(sources: Sources) -> drawing.Drawing:
-    """With the proposed method a force moves the base back, and the end-effector reaches its target
+    """With the proposed method, a force moves the base back. The end-effector reaches its target
     without a collision. The repulsive method pushes the arm away from the base. This avoids the
     collision, but the end-effector cannot reach the target.
     """

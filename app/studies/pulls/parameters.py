@@ -123,7 +123,7 @@ class StudyRange(Strict):
 
 
 class StudyParameters(Strict):
-    """The parameters that determine each case of a study, without the number of cases."""
+    """All parameters of a study except the number of cases; they determine each case."""
 
     seed: int = 0  # the random quantities of case k depend only on seed, k, robot and ranges
     robot: str = "husky_panda"

@@ -60,9 +60,9 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance and time for rows of paths; an overlap counts as distance 0.
+    """Final error, smallest distance (0 for an overlap) and time of paths, each with its scale.
 
-    The last two scales end at the largest distance at a start, and the longest time, rounded up.
+    The scales of distance and time end at the largest start distance and longest time, rounded up.
     """
     known = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(known, default=5.0) / 5.0)
