@@ -226,7 +226,7 @@ _SLIPS = {  # typical errors at the place of an error, as patterns that take lin
     r"([:=] *-?[\d.]*\d,\d+)": "has a decimal comma; write a point",
     r"([\u00a0\u2007\u202f\u200b\u2060\u2028\ufeff])": "is a special space; write a plain one",
     r"e?([−–—])": "is a typographic minus or dash; write -",
-    r"(,)\s*[}\]]": "is before a closing bracket; take away the comma before it",
+    r"(,)\s*[}\]]": "is before a closing bracket; take away the comma",
 }
 
 
@@ -246,7 +246,7 @@ def _quoted(error: ValueError, text: str) -> str:
 _PLACEHOLDERS = (
     (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
     (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
-    (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
+    (rb"(<!--(?:(?!-->).)*-->|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
     (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
     (rb"(<\?xml[^>]*>\s*)?<Error>", "a server's error; download the file again"),
     (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),

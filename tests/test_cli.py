@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import math
@@ -642,6 +643,16 @@ def test_full_output_is_named_and_the_status_is_2(words, error):
     line = f'exec "{sys.executable}" -m app {words}'
     done = subprocess.run(["sh", "-c", line], cwd=PROJECT, timeout=60, stderr=subprocess.PIPE)
     assert (done.returncode, done.stderr[: len(error)]) == (2, error)
+
+
+def test_full_disk_is_not_taken_for_a_full_output(monkeypatch, capsys):
+    def full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("app.cli.main._run", full)
+    with pytest.raises(SystemExit):
+        main(["study"])
+    assert capsys.readouterr().err == "dbb: error: No space left on device\n"
 
 
 def test_parameters_are_known_without_docstrings():

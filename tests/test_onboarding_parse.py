@@ -482,15 +482,29 @@ def test_a_quaternion_is_read_as_the_same_rotation(old: str, tmp_path: Path) -> 
         np.testing.assert_allclose(two, one, atol=1e-9)
 
 
+def test_wheels_with_limits_of_many_turns_are_wheels(tmp_path: Path) -> None:
+    limits = r'\1revolute\2lower="-100" upper="100" '
+    text = re.sub(r'(_axle" type=")continuous(".*?<limit )', limits, TOY)
+    assert text.count('upper="100"') == 2
+    assert parse(request(tmp_path, text)).wheels.left == ("left_axle",)
+
+
+def test_many_comments_before_the_robot_take_no_time(tmp_path: Path) -> None:
+    """A licence of 25 lines took minutes: the time of a regular expression was exponential."""
+    comments = "<!-- Redistribution and use in source and binary forms -->\n" * 700
+    assert parse(request(tmp_path, comments + TOY)).arm.names == ARM_JOINTS
+
+
 @pytest.mark.parametrize(
     ("kind", "limit", "why"),
     [
         ("prismatic", (0, 40), "joints finger (0 to 40) have limits of many metres"),
         ("prismatic", (0.04, 0), "joints finger (0.04 to 0) have a lower limit that is not below"),
-        ("revolute", (0, 90), "joints finger (0 to 90) have limits of more than two turns"),
+        ("revolute", (0, 90), "joints finger (0 to 90) have limits of over two turns"),
         ("revolute", (0, 0), ""),
         ("prismatic", (0, 0), ""),
         ("prismatic", None, ""),
+        ("prismatic", (-1e16, 1e16), ""),
     ],
 )
 @pytest.mark.parametrize("carrier", ["hand", "base"])

@@ -30,6 +30,7 @@ from app.control.readings import (
 )
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, UnknownNameError
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
 from app.simulation.people import Hold
@@ -992,6 +993,19 @@ def test_odometry_that_is_up_to_0_2_s_old_does_not_jump(run) -> None:
     pull = np.array([-20.0, 5.0, -5.0])
     found = run(odometry(100, 100), pull=lambda k: pull * min(max(k / 100 - 3, 0), 1), time=1.1)
     assert found.faults == {}
+
+
+def test_velocity_of_a_car_with_the_wrong_sign_does_not_run_away() -> None:
+    """The model of the car's drive continued from the wrong reading: 8 m/s after 3 s."""
+    model = RobotModel(load_robot("racecar_panda"))
+    loop, q_m = ControlLoop(model), np.array(model.description.arm.ready_position)
+    for k in range(900):
+        t, v = 0.001 * k, min(0.001 * k, 0.5)
+        pose = np.array([0.5 * v * v if v < 0.5 else 0.125 + 0.5 * (t - 0.5), 0.0, 0.0])
+        step = loop.step(Measurement(pose, np.array([-v, 0.0]), q_m, 0.0 * q_m, now=t, time=t)).step
+        step.v_cmd[:] = 0.5, 0.0
+    assert "localisation" in loop.reported
+    assert abs(step.base_velocity[0]) < 1.0
 
 
 @pytest.mark.parametrize("factor", [100.0, np.array([1.0, 57.3])], ids=["cm/s", "deg/s"])

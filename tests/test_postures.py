@@ -263,7 +263,7 @@ def test_a_base_that_returns_before_the_end_has_not_given_way(
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        (lambda step: {"distances": np.append(step.distances[:-1], -0.001)}, "l2-lEE comes nearer"),
+        (lambda step: {"distances": np.append(step.distances[:-1], -0.001)}, "l2-lEE overlaps"),
         (lambda step: {"contacts": Contacts(arm_arm=True)}, "links touch"),
     ],
 )

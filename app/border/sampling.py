@@ -267,8 +267,7 @@ class _Flood:
 
     def _expand(self, found: Witnesses, round_: int) -> Witnesses:
         """Step into each open voxel that is probably in range, from the first posture beside it."""
-        here = self._voxels.cells(quantise_points(found.p_b))
-        cells = here[:, None, :] + AROUND[1:]
+        cells = self._voxels.cells(quantise_points(found.p_b))[:, None, :] + AROUND[1:]
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - found.p_b[:, None]
         ahead = found.d[:, None] + (step * found.normal[:, None]).sum(axis=2)

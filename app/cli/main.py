@@ -27,7 +27,6 @@ COMMANDS = {  # the commands by topic, each with the module that defines its fun
     "Robots": dict.fromkeys(("robots", "new-robot", "check-robot"), "robots"),
 }
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
-_FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF  # errors of a full or closed output
 _NARROWEST = 40  # [-] smallest number of columns of a help text
 
 
@@ -78,8 +77,10 @@ def main(args: list[str] | None = None) -> None:
     except OSError as error:
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
-        where = error.filename or ("the standard output" if error.errno in _FULL else "")
-        fault = f"{where}: {error.strerror or error}".removeprefix(": ")
+        fault = f"{error.filename or 'the standard output'}: {error.strerror or error}"
+        with suppress(OSError):  # raised again if the standard output is full or closed
+            sys.stdout.flush()
+            fault = fault.removeprefix("the standard output: ")
     except KeyboardInterrupt:
         _end("interrupted", 130)
     _end(f"error: {fault}", 2)

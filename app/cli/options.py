@@ -255,7 +255,7 @@ def in_order(words: Iterable[str]) -> list[str]:
             groups.setdefault(name, []).append(group)
         else:
             group.append(word if name in _TEXTS else os.path.expanduser(word))
-        if name not in _TEXTS and group[-1] in ("", f"{name}="):
+        if name not in _TEXTS and group[-1] in ("", name and f"{name}="):
             hint = "a variable of the shell is probably unset"
             raise ConfigError(f"{name or 'an argument'}: the value is empty; {hint}")
     for name, each in groups.items():

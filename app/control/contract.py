@@ -125,7 +125,8 @@ class JointOrder:
     def __init__(self, model: RobotModel, names: Sequence[str]) -> None:
         """Find the arm's joints in the `names` of a driver; errors as `ControlLoop.joint_order`."""
         try:
-            assert not isinstance(names, str | bytes | set | frozenset)
+            if isinstance(names, str | bytes | set | frozenset):
+                raise TypeError
             wanted, names = model.description.arm.joints, [str(each) for each in names]
         except Exception:  # `names` can be no iterable, or its iterator can raise any exception
             text = f"the names must be a list of the driver's joints, were {shown(names)}"

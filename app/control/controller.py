@@ -21,7 +21,7 @@ from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
 from app.control.qp import changed_by_proxqp, solved_by_proxqp
 from app.control.quantities import QUANTITIES, ControlStep
-from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, later_base
+from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, differs, later_base
 from app.control.references import is_motion, take_reference
 from app.control.tasks import Reference
 from app.errors import ConfigError, check_name
@@ -181,11 +181,12 @@ class Controller:
             return self._step(measurement, reference, algorithm.DRIVE_MODEL)
         measurement = checked(measurement, self._model)
         drive = measurement.drive if len(measurement.drive) else self._base.drive_at_rest()
-        read, v_cmd = measurement.base_velocity, self.last.v_cmd
+        read, w = measurement.base_velocity, self.last
         possible = np.abs(read) <= 2.0 * np.array(self._base.max_velocity)  # not NaN
-        v = np.where(possible, read, self.last.base_velocity)
-        a = self._base.drive_acceleration(v, drive, v_cmd)
-        self.last.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
+        right = possible & (not differs(w.pose_error + w.pose_moved, w.pose_way[0], w.pose_way[1]))
+        v = np.where(right, read, w.base_velocity)
+        a = self._base.drive_acceleration(v, drive, w.v_cmd)
+        w.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
         return self._step(measurement, reference, algorithm.BASE_MEASURED)
 
     def _step(

@@ -57,9 +57,8 @@ def is_motion(R: Array, p: Array, v: Array, a: Array, top: Array) -> bool:
     slow = (np.abs(v) <= top).all() and (np.abs(a) <= top / RUSH).all()  # not NaN
     if not (slow and math.isfinite(p.sum())):
         return False
-    for i in range(
-        3
-    ):  # a rotation matrix equals the matrix of its cofactors; of the others, 0 does
+    # A rotation matrix equals the matrix of its cofactors; of other matrices, only 0 does.
+    for i in range(3):
         above, below = R[(i + 1) % 3], R[(i + 2) % 3]
         for j in range(3):
             k, m = (j + 1) % 3, (j + 2) % 3

@@ -171,8 +171,9 @@ def _check_ranges(tree: Tree, arm: Arm) -> None:
     for joint in (tree.joint_of[link] for link in tree.below(arm.base)[1:]):
         limits = [q for q in _range(joint) if q is not None]
         farthest = max(map(abs, limits), default=0.0)
-        if joint.name not in arm.names and (joint.mimic or joint.lower == joint.upper):
+        if joint.name not in arm.names and (joint.mimic or not limits or len({*_range(joint)}) < 2):
             continue
+        turns = joint.name in screws or (joint.child in arm.base_links and not sum(limits))  # wheel
         if joint.kind == "prismatic" and len(limits) < 2:
             why = "are prismatic without a limit on each side; write both limits in the <limit>"
         elif limits == [0.0, 0.0]:
@@ -182,9 +183,8 @@ def _check_ranges(tree: Tree, arm: Arm) -> None:
             why = "have a lower limit that is not below the upper limit; correct the <limit>"
         elif joint.kind == "prismatic" and farthest > 5.0:
             why = "have limits of many metres, which are probably millimetres; write metres"
-        elif joint.kind == "revolute" and farthest > 4 * np.pi and joint.name not in screws:
-            why = "have limits of more than two turns, which are probably degrees; write radians "
-            why += '(90 degrees are 1.5708), or type="continuous" for a joint without limits'
+        elif joint.kind == "revolute" and farthest > 4 * np.pi and not turns:
+            why = 'have limits of over two turns, as in degrees; write radians or type="continuous"'
         else:
             continue
         stated = f" ({joint.lower:g} to {joint.upper:g})" if limits else ""

@@ -55,11 +55,11 @@ def numbers(name: str, values: Any, *sizes: int, finite: bool = False) -> Array:
 
     Raises a MeasurementError if they are not real or `finite`, or their count is not in `sizes`.
     """
-    found, reason = None, ""
     try:
         found = np.asarray(np.ma.filled(values, np.nan)).astype(float, "K", "same_kind", copy=False)
+        reason = f" (shape {found.shape})"
     except Exception as error:  # such as torch's error about a tensor that requires grad
-        reason = f" ({error})"
+        found, reason = None, f" ({error})"
     if found is None or found.shape not in [(size,) for size in sizes]:
         raise MeasurementError(f"{name} must be {sizes[0]} numbers, was {shown(values)}{reason}")
     if finite and not np.isfinite(found).all():

@@ -41,7 +41,7 @@ def only_rpy(robot: Element) -> None:
         for at in (each for each in part.iter("origin") if "quat_xyzw" in each.attrib):
             where = f"{part.tag} {part.get('name')!r}"
             x = numbers(at, "quat_xyzw", (0.0, 0.0, 0.0, 1.0), where)
-            if "rpy" in at.attrib or (length := float(np.linalg.norm(x))) < 1e-6:
+            if "rpy" in at.attrib or not 0.0 < (length := float(np.linalg.norm(x))) < np.inf:
                 raise RobotFileError(f"{where}: quat_xyzw is zero, or beside rpy: write only one")
             del at.attrib["quat_xyzw"]
             rpy = pin.rpy.matrixToRpy(pin.Quaternion(x / length).matrix())
@@ -87,7 +87,7 @@ def stated(element: Element | None, key: str, where: str) -> str | None:
     if element is None or key in element.attrib:
         return None if element is None else element.get(key)
     known = _ATTRIBUTES.get(element.tag, element.attrib)
-    if odd := next((name for name in element.attrib if name not in known), ""):
+    if odd := next((name for name in element.attrib if name not in known and name[0] != "{"), ""):
         why = f"{where}: a URDF has no attribute {odd!r} of <{element.tag}>"
         raise RobotFileError(f"{why}{did_you_mean(odd, known)}; it has {', '.join(known)}")
     return None

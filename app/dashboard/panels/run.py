@@ -146,7 +146,7 @@ class ComparePanel(Panel):
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return a table; ✓: best of differing results, not of base travel or robots with contact."""
+    """Return a table (✓ marks the best of differing results) or, without scores, a sentence."""
     if not scores:
         return small("No comparison is running.", FAINT)
     heads = (

@@ -143,8 +143,7 @@ def fit_hull(points: Array) -> Hull | Box:
     except QhullError:
         return fit_box(points)
     corners = np.unique(np.round(corners, 4), axis=0)  # of equal corners only one remains
-    corners = corners[ConvexHull(corners).vertices]
-    vertices = tuple(map(_three, corners))
+    vertices = tuple(map(_three, corners[ConvexHull(corners).vertices]))
     return Hull(type="hull", vertices_m=vertices, xyz_m=_three(middle), rpy_rad=_three(rpy))
 
 

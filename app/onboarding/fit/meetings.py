@@ -166,8 +166,7 @@ def sample_meetings(
 def _grazing(units: Sequence[Unit], pairs: Pairs, *distances: Array) -> frozenset[tuple[int, int]]:
     """Pairs of the arm's units with `_RARE` contacts or more, all of them at most `GRAZE` deep."""
     depths = np.sort(-np.vstack(distances), axis=0)[-_RARE:]
-    shallow = (depths[0] >= 0.0) & (depths[-1] <= GRAZE)
-    touching = compress(pairs, shallow)
+    touching = compress(pairs, (depths[0] >= 0.0) & (depths[-1] <= GRAZE))
     return frozenset((u, v) for u, v in touching if min(units[u].joint, units[v].joint) > 1)
 
 

@@ -206,8 +206,8 @@ def fault_of_run(
     """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
     At the end, the base has to be `GIVES_WAY` times d_b from its start. Always, the arm has to be
-    `CLEARANCE` from the base and 0.01 m from the floor. No bodies of the arm may overlap, and no
-    links touch in the default plant. `on_progress` gets the finished share.
+    `CLEARANCE` from the base and 0.01 m from the floor. No bodies of the arm may overlap, and in
+    the default plant nothing may touch the arm. `on_progress` gets the finished share.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config)
@@ -224,9 +224,10 @@ def fault_of_run(
                 nearest = min(nearest, *step.distances[: len(pairs.mobile)])
                 k = int(np.argmin(step.distances - least))
                 if step.distances[k] < least[k]:  # the rest of the run cannot change that
-                    return f"{pairs.all[k].name} comes nearer than {least[k]:g} m"
+                    near = f"comes nearer than {least[k]:g} m" if least[k] else "overlaps"
+                    return f"{pairs.all[k].name} {near}"
                 if any(step.contacts):
-                    return "links touch"
+                    return "links touch each other or the floor"
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
     except UnreachableError as error:
         return str(error)

@@ -102,7 +102,7 @@ def _range(joint: Joint) -> list[float]:
     range. Without a range, a prismatic joint stays at zero, and another joint makes a whole turn.
     """
     low, high, slides = joint.lower, joint.upper, joint.kind == "prismatic"
-    if low is None or high is None or low >= high or (high - low > 1e3 and not slides):
+    if low is None or high is None or low >= high or high - low > 1e3:
         low, high = (0.0, 0.0) if slides else (-np.pi, np.pi)
     count = 1 if slides else min(int(np.ceil((high - low) / _STEP)), 144)
     return np.linspace(low, high, count + 1).tolist()

@@ -174,7 +174,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     except (RobotFileError, MemoryError, PermissionError):
         raise
     except ImportError as error:
-        raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
+        raise RobotFileError(f"{name}: {error}; install it, or convert the mesh to .stl") from None
     except Exception as error:  # the readers' errors have no common base class
         raw = isinstance(error, (AttributeError, IndexError, KeyError, TypeError))
         why = "it is damaged or has no triangles" if raw else " ".join(str(error).split())
@@ -188,7 +188,7 @@ load_mesh = lru_cache(maxsize=64)(read_mesh)
 def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
     """Advice for an unreadable mesh file, or empty; `begin`: its first bytes, `end`: its suffix."""
     if (kind := kind_of(begin, size)) and f"(.{end})" not in kind:
-        return f"; it is {kind}: rename it, or convert it to .stl"
+        return f"; it is {kind}: {'rename it, or ' * ('mesh' in kind)}convert it to .stl"
     if end == "gltf":  # for a damaged file, trimesh looks for another .gltf
         if isinstance(error, FileNotFoundError) and not str(error).endswith(".gltf"):
             return " is missing beside it: add this file, or export the mesh as .glb"
