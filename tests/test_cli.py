@@ -635,7 +635,7 @@ def test_command_without_an_input_works_and_without_an_output_fails(
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        ("config > /dev/full", b"dbb: error: the standard output: No space left"),
+        ("config > /dev/full", b"dbb: error: a file or the standard output: No space left"),
         ("x 2> /dev/full", b""),
     ],
 )
@@ -645,14 +645,16 @@ def test_full_output_is_named_and_the_status_is_2(words, error):
     assert (done.returncode, done.stderr[: len(error)]) == (2, error)
 
 
-def test_full_disk_is_not_taken_for_a_full_output(monkeypatch, capsys):
+def test_full_disk_can_also_be_a_full_output(monkeypatch, capsys):
     def full(_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("app.cli.main._run", full)
+    monkeypatch.setattr(sys.modules["app.cli.main"], "_run", full)
     with pytest.raises(SystemExit):
         main(["study"])
-    assert capsys.readouterr().err == "dbb: error: No space left on device\n"
+    assert capsys.readouterr().err == (
+        "dbb: error: a file or the standard output: No space left on device\n"
+    )
 
 
 def test_parameters_are_known_without_docstrings():

@@ -28,6 +28,7 @@ COMMANDS = {  # the commands by topic, each with the module that defines its fun
 }
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _NARROWEST = 40  # [-] smallest number of columns of a help text
+_FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF  # errors of a write
 
 
 def console() -> NoReturn:
@@ -77,10 +78,8 @@ def main(args: list[str] | None = None) -> None:
     except OSError as error:
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
-        fault = f"{error.filename or 'the standard output'}: {error.strerror or error}"
-        with suppress(OSError):  # raised again if the standard output is full or closed
-            sys.stdout.flush()
-            fault = fault.removeprefix("the standard output: ")
+        where = error.filename or "a file or the standard output" * (error.errno in _FULL)
+        fault = f"{where}: {error.strerror or error}".removeprefix(": ")
     except KeyboardInterrupt:
         _end("interrupted", 130)
     _end(f"error: {fault}", 2)
