@@ -344,7 +344,7 @@ def test_pipe_in_place_of_a_file_is_refused(name: str, tmp_path: Path) -> None:
 
 def test_trailing_comma_is_named(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text('{"dbb_case": 1,\n}\n')
-    with pytest.raises(CaseError, match="comma before"):
+    with pytest.raises(CaseError, match="take away the comma"):
         read_case(tmp_path / "c.json")
 
 
