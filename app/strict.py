@@ -243,10 +243,11 @@ def _quoted(error: ValueError, text: str) -> str:
     return f": {cut(repr(lines[row].strip(' ')))}{next(slips, '')}"
 
 
+COMMENT = rb"<!--(?:(?!-->).)*-->"  # one of XML; `.*?` could also match several: exponential time
 _PLACEHOLDERS = (
     (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
     (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
-    (rb"(<!--(?:(?!-->).)*-->|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
+    (rb"(" + COMMENT + rb"|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
     (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
     (rb"(<\?xml[^>]*>\s*)?<Error>", "a server's error; download the file again"),
     (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),

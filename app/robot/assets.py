@@ -19,7 +19,7 @@ from xml.parsers import expat
 import platformdirs
 
 from app.errors import AssetError, DescriptionError, RobotFileError, UnknownNameError, check_name
-from app.strict import content_of, placeholder
+from app.strict import COMMENT, content_of, placeholder
 from app.system import cache_folders, home_expanded, home_folder, is_writable
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -280,7 +280,7 @@ _KINDS = {  # kinds of files by patterns of their beginning
     rb"\x89PNG|\xff\xd8\xff|GIF8": "a picture",
     b"glTF": "a glTF mesh (.glb)",
     rb"\x7fELF": "a program",
-    rb"(\s|<\?xml[^>]*>|<!--(?:(?!-->).)*-->)*<COLLADA": "a COLLADA mesh (.dae)",
+    rb"(\s|<\?xml[^>]*>|" + COMMENT + rb")*<COLLADA": "a COLLADA mesh (.dae)",
     rb"([#\w][^\n]*\n|\s)*?v\s+[-.\d]+\s+[-.\d]": "an OBJ mesh (.obj)",
     b"ISO-10303-21": "a STEP file (.step)",
     b"Kaydara FBX": "an FBX file (.fbx)",
