@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, settings
 
 from app.border import cache
 from app.border.cache import BorderData, load_border_data
+from app.border.sampling import SamplingConfig
 from app.cli import common
 from app.dashboard import job
 from app.errors import DbbError
@@ -147,6 +148,20 @@ def _read_in_this_process() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bounded, "SMALL", math.inf)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _only_small_borders() -> Iterator[None]:
+    """Refuse to sample a border at the delivered size: that takes minutes in a new clone."""
+    sample = cache.sample_clouds
+
+    def small(model: RobotModel, pairs: Any, config: SamplingConfig, **how: Any) -> Any:
+        assert config != SamplingConfig(), "use `border_data` or fewer samples"
+        return sample(model, pairs, config, **how)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cache, "sample_clouds", small)
         yield
 
 

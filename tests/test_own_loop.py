@@ -30,7 +30,6 @@ from app.control.readings import (
 )
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, UnknownNameError
-from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
 from app.simulation.people import Hold
@@ -40,6 +39,7 @@ from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Disturbances, Session, VelocityTracking
+from tests.bases import robot_on
 
 Array = np.ndarray
 Degradation = Callable[[int, Measurement], Measurement]
@@ -995,10 +995,11 @@ def test_odometry_that_is_up_to_0_2_s_old_does_not_jump(run) -> None:
     assert found.faults == {}
 
 
-def test_velocity_of_a_car_with_the_wrong_sign_does_not_run_away() -> None:
+def test_velocity_of_a_car_with_the_wrong_sign_does_not_run_away(border_data: BorderData) -> None:
     """The model of the car's drive continued from the wrong reading: 8 m/s after 3 s."""
-    model = RobotModel(load_robot("racecar_panda"))
-    loop, q_m = ControlLoop(model), np.array(model.description.arm.ready_position)
+    model = robot_on("car-like")
+    loop = ControlLoop(model, border_data)
+    q_m = np.array(model.description.arm.ready_position)
     for k in range(900):
         t, v = 0.001 * k, min(0.001 * k, 0.5)
         pose = np.array([0.5 * v * v if v < 0.5 else 0.125 + 0.5 * (t - 0.5), 0.0, 0.0])

@@ -21,7 +21,7 @@ from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, largest_command, robot_struct
 from app.control.qp import changed_by_proxqp, solved_by_proxqp
 from app.control.quantities import QUANTITIES, ControlStep
-from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, differs, later_base
+from app.control.readings import EARLY, FAULTS, IMPLAUSIBLE, LAG, PERIOD, later_base
 from app.control.references import is_motion, take_reference
 from app.control.tasks import Reference
 from app.errors import ConfigError, check_name
@@ -177,17 +177,7 @@ class Controller:
 
         The model computes the acceleration from the last velocity command, not from the new one.
         """
-        if not self._own_drive:
-            return self._step(measurement, reference, algorithm.DRIVE_MODEL)
-        measurement = checked(measurement, self._model)
-        drive = measurement.drive if len(measurement.drive) else self._base.drive_at_rest()
-        read, w = measurement.base_velocity, self.last
-        possible = np.abs(read) <= 2.0 * np.array(self._base.max_velocity)  # not NaN
-        right = possible & (not differs(w.pose_error + w.pose_moved, w.pose_way[0], w.pose_way[1]))
-        v = np.where(right, read, w.base_velocity)
-        a = self._base.drive_acceleration(v, drive, w.v_cmd)
-        w.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
-        return self._step(measurement, reference, algorithm.BASE_MEASURED)
+        return self._step(measurement, reference, algorithm.DRIVE_MODEL)
 
     def _step(
         self, measurement: Measurement, reference: Reference | None, base_source: int
@@ -225,6 +215,11 @@ class Controller:
             self.state.drive = measurement.drive
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
         self._distances.update_from(data)
+        if self._own_drive and base_source == algorithm.DRIVE_MODEL:
+            state = drive if len(drive) else self._base.drive_at_rest()
+            a = self._base.drive_acceleration(w.base_velocity, state, w.v_cmd)
+            w.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
+            base_source = algorithm.BASE_MEASURED
         tracking, slow, border = reference is not None, self._slow, self._border
         while left_open := _law(robot, gains, slow, border, w.struct, base_source, tracking):
             self._rescue(int(left_open) - 1)

@@ -634,7 +634,7 @@ def later_base(
 
 
 @compiled()
-def differs(error: Array, way: float, turn: float) -> bool:
+def _differs(error: Array, way: float, turn: float) -> bool:
     """Whether the error (3,) of a motion exceeds `_NEAR` + half of `way` [m] or `turn` [rad]."""
     far = math.hypot(error[0], error[1]) > _NEAR + 0.5 * way
     return far or abs(error[2]) > _NEAR + 0.5 * turn
@@ -666,13 +666,13 @@ def _take_pose(robot: Any, w: Any, pose: Array, v: Array, time: float) -> None:
         jump[2] = (jump[2] + math.pi) % (2.0 * math.pi) - math.pi
         late = w.base_late[()] * _motion(robot, w.pose_last[2], w.base_velocity, _SELDOM)
         path = np.abs(w.pose_moved) + np.abs(late)
-        jumped, compared = differs(jump, math.hypot(path[0], path[1]), path[2]), True
+        jumped, compared = _differs(jump, math.hypot(path[0], path[1]), path[2]), True
         put(w.pose_error, w.pose_error + (jump + w.pose_moved))
         fill(w.pose_moved, 0.0)
         w.pose_age[()] = 0.0
         put(w.pose_jump, jump)
         put(w.pose_last, pose)
-    if jumped or (compared and differs(w.pose_error, w.pose_way[0], w.pose_way[1])):
+    if jumped or (compared and _differs(w.pose_error, w.pose_way[0], w.pose_way[1])):
         w.faults[LOCALISATION] = 1.0
 
 
@@ -853,7 +853,7 @@ def take_readings(
     base_new = w.base_late[()] != 0.0 or not (stamped and not_new)
     moves = bool(np.any(v != 0.0))  # NaN too
     base_new = base_new and not (moves and _same(base_pose, w.pose_read) and _same(v, w.v_read))
-    wrong = differs(w.pose_error + w.pose_moved, w.pose_way[0], w.pose_way[1])
+    wrong = _differs(w.pose_error + w.pose_moved, w.pose_way[0], w.pose_way[1])
     velocity = _usable_velocity(robot, w, v, base_new and not wrong, first)
     _predict(robot, gains, w, velocity, base_new and not wrong, missed)
     if not lost:
