@@ -365,9 +365,11 @@ class DashboardTab:
         box.press("Enter")
 
     def choose(self, label: str, option: str) -> None:
-        """Select an option of a drop-down list."""
-        self.row(label).locator("input").first.click()
+        """Select an option of a drop-down list, and wait until the list shows it."""
+        box = self.row(label).locator("input").first
+        box.click()
         self.page.get_by_role("option", name=option, exact=True).click()
+        self.wait("([box, option]) => box.value === option", [box.element_handle(), option], 10.0)
 
     def check(self, label: str, *, on: bool = True) -> None:
         """Set the check box `label`: checked if `on`."""

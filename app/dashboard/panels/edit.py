@@ -44,6 +44,7 @@ class EditPanel(Panel):
             for body in self._robot.bodies
             for i in range(len(body.shapes))
         }
+        self._frames: dict[str, str] = {}
         self._drawn: dict[str, tuple[Shape, viser.MeshHandle]] = {}
         self._gizmos: tuple[str, tuple[viser.TransformControlsHandle, ...]] = (_NONE, ())
         self._sizing = False
@@ -122,13 +123,15 @@ class EditPanel(Panel):
             self._gizmos[1][1].position = half_extents(self._shape(chosen))
 
     def _frame(self, key: str) -> str:
-        """Add a scene node at a body's frame, fixed to the body's joint; return the node's name."""
-        model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
-        frame = model.frames[model.getFrameId(body.frame)]
-        position, wxyz = to_viser(frame.placement)
-        node = f"{node_of(model, frame.parentJoint)}/edited_{key.replace(' ', '_')}"
-        self._viewer.client.scene.add_frame(node, show_axes=False, position=position, wxyz=wxyz)
-        return node
+        """Add the scene node at a body's frame, fixed to its joint, once; return the node's name."""
+        if key not in self._frames:
+            model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
+            frame = model.frames[model.getFrameId(body.frame)]
+            position, wxyz = to_viser(frame.placement)
+            node = f"{node_of(model, frame.parentJoint)}/edited_{key.replace(' ', '_')}"
+            self._viewer.client.scene.add_frame(node, show_axes=False, position=position, wxyz=wxyz)
+            self._frames[key] = node
+        return self._frames[key]
 
     def _take_hold(self, key: str) -> tuple[viser.TransformControlsHandle, ...]:
         """Add the gizmos of a body: one moves and rotates it; one at its corner resizes it."""
