@@ -36,6 +36,7 @@ from app.dashboard.panels import Moment
 from app.dashboard.panels.help import CARDS, CLOSE, NEXT, PULL, SHOW, SHOWN, WATCH
 from app.dashboard.panels.run import (
     FREE,
+    INPUTS,
     METHOD_TITLES,
     TITLES,
     ComparePanel,
@@ -1135,6 +1136,15 @@ def test_only_the_start_of_a_comparison_reports_that_the_timeline_starts_again(d
         panel._chosen = lambda: [METHOD_TITLES["none"]]
         panel._choose()
     assert told == ["New run"]
+
+
+def test_input_of_a_comparison_that_another_viewer_has_chosen_is_shown(dashboard, loop):
+    with RawClient(dashboard.address):
+        page = page_of(dashboard)
+        panel = next(each for each in page.panels if isinstance(each, ComparePanel))
+        assert panel._input.value == INPUTS["path"]
+        loop.send(Compare(("none",), "force"))
+        wait_for(lambda: panel._input.value == INPUTS["force"])
 
 
 def test_view_of_the_door_is_refused_without_a_door(dashboard):

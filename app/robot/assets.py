@@ -29,7 +29,6 @@ ASSETS = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "robot_assets"
 """Folder of the robot descriptions, in a checkout or inside the installed package."""
 SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the delivered borders; in a writable checkout also of new ones (`cache_folder`)."""
-_EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")  # packages of the optional robots
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
 _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robots have 60
 _MAX_ATTRIBUTES = 100  # [-] largest number per element; some parsers compare each with all others
@@ -37,10 +36,10 @@ _DEEPEST = 100  # [-] deepest nesting of elements
 _PART = 1 << 14  # [bytes] length of the two parts of a mesh file that are searched for damage
 # In the last part of an undamaged text file; in an OBJ file, no vertex follows the last face.
 _ENDS = {".stl": b"endsolid", ".dae": b"collada>", ".obj": rb"[\r\n][ \t]*f\s(?!.*[\r\n][ \t]*v)"}
-_WITH_PYBULLET = (
-    "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
-    "docs/install.md lists"
-)
+_PIP = "pip install 'dbb-mobile-manipulator"
+_WITH_PYBULLET = f"it comes with pybullet: {_PIP}[sim]', on the Pythons that docs/install.md lists"
+_OPTIONAL = ("example-robot-data", "rtbdata", "stretch_urdf")  # packages of the optional robots
+_ADVICE = dict.fromkeys(_OPTIONAL, f"try: {_PIP}[robots]'") | {"pybullet_data": _WITH_PYBULLET}
 
 
 def cache_folder() -> Path:
@@ -141,8 +140,7 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     if not (roots := package_roots(package)):
         # No advice for other packages: the name comes from a file, and anyone can register it.
-        how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
-        how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
+        how = f"; {_ADVICE[package]}" if package in _ADVICE else ""
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
     for root in roots:
         path = followed(root / inner)

@@ -123,7 +123,7 @@ class EditPanel(Panel):
             self._gizmos[1][1].position = half_extents(self._shape(chosen))
 
     def _frame(self, key: str) -> str:
-        """Add the scene node at a body's frame, fixed to its joint, once; return the node's name."""
+        """Name of the scene node at a body's frame, fixed to its joint; the first call adds it."""
         if key not in self._frames:
             model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
             frame = model.frames[model.getFrameId(body.frame)]

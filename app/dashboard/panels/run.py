@@ -32,7 +32,7 @@ OFF = "off"  # choice without another robot
 # Choices in the lists of scenarios and of controllers, by name:
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
-INPUTS = {"the end-effector's path": "path", "the person's force": "force"}  # `Compare.same`
+INPUTS = {"path": "the end-effector's path", "force": "the person's force"}  # of `Compare.same`
 _SIZE = "font-size:.82em"
 _STARTS = "A scenario starts at once. A pull of the end-effector ends it."
 _SCORES = (  # label with unit, field of `Score`, text of a value, function for the best or None
@@ -112,7 +112,7 @@ class ComparePanel(Panel):
         titles, labels = (OFF, *METHOD_TITLES.values()), ("Second robot", "Third robot")
         self._choices = [gui.add_dropdown(label, titles) for label in labels]
         hint = "All end-effectors have the same path, or the same force acts on all robots."
-        self._input = gui.add_dropdown("Same input", tuple(INPUTS), hint=hint)
+        self._input = gui.add_dropdown("Same input", tuple(INPUTS.values()), hint=hint)
         for handle in (*self._choices, self._input):
             self.on_update(handle, lambda _: self._choose())
         self._scores = gui.add_html("")
@@ -120,6 +120,8 @@ class ComparePanel(Panel):
 
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the scores from the shown one."""
+        if moment.newest.same:
+            self.follow(self._input, INPUTS[moment.newest.same])
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
@@ -136,7 +138,8 @@ class ComparePanel(Panel):
     def _choose(self) -> None:
         names = {title: name for name, title in METHOD_TITLES.items()}
         others = tuple(names[title] for title in self._chosen())
-        self._shared.loop.send(Compare(others, INPUTS[self._input.value]))
+        same = next(each for each, title in INPUTS.items() if title == self._input.value)
+        self._shared.loop.send(Compare(others, same))
         if others:
             self._notifier.tell(self._viewer.client, "New run", "The timeline starts again.")
 
