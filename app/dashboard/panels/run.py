@@ -119,7 +119,7 @@ class ComparePanel(Panel):
         self._names: list[str] = []
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the scores from the shown one."""
+        """Update the robots from the newest snapshot, and the scores from the shown one."""
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
