@@ -1,7 +1,7 @@
 """Numerical kernels: numba compiles them to machine code, which `KernelStore` stores.
 
-A kernel is a plain function of floats and arrays. With `NUMBA_DISABLE_JIT=1` Python interprets the
-kernel, slowly: the vectors have only about nine entries, so the overhead exceeds the computation.
+A kernel is a plain function of numbers, arrays and structs. With `NUMBA_DISABLE_JIT=1` Python
+interprets it, slowly: vectors have about nine entries, so the overhead exceeds the computation.
 """
 
 import gc

@@ -113,7 +113,7 @@ class BorderConfig(Strict):
     eps: float = number(0.01, 0.002, 0.02, "Border tolerance ε", source="paper, Figure 3")
     """[m] ε of (3): largest difference between d_b and a border point's distance to the base."""
     kind: Literal["surface", "points"] = Field(default="surface", title="Acting point on")
-    """[-] surface: the acting point moves on the border's continuous surface. points: it jumps
+    """[-] surface: the acting point moves on the border's surface. points (hqp: always): it jumps
     between the paper's sampled points; at heights without such points, it moves on the surface."""
 
 
@@ -160,7 +160,7 @@ class ActivationConfig(Strict):
 
 
 class RepulsionConfig(Strict):
-    """§3.2: acceleration that separates two links of the arm."""
+    """§3.2: acceleration that separates two links of the arm; in `repulsive` also arm and base."""
 
     k_p: float = number(
         60.0,
@@ -200,7 +200,7 @@ class EeHoldConfig(Strict):
 
 
 class TaskConfig(Strict):
-    """The tasks of end-effector, posture and base, and the softness of the avoidance task."""
+    """The tasks of end-effector and posture (only while tracking) and base; softness of T_sca."""
 
     ee_stiffness: float = number(900.0, 0.0, 4000.0, "End-effector stiffness")
     """[1/s²] position gain of the end-effector's task."""
@@ -263,7 +263,7 @@ class EstimateConfig(Strict):
     delay: float = number(0.0, 0.0, 0.03, "Known reading age", advanced=True)
     """[s] known age of the readings at a step's start; with time stamps, the part that they do not
     show. Above 24 control periods it counts as 24. Too large a value can make a guided arm too
-    fast. A larger true age is compensated too, up to 24 periods or, with time stamps, 0.1 s."""
+    fast. A larger age is compensated up to 24 periods; with stamps, up to 0.1 s and 127 periods."""
 
 
 class PayloadConfig(Strict):

@@ -57,7 +57,7 @@ class AssetError(DbbError):
 
 
 class RobotFileError(DbbError):
-    """A URDF cannot become a robot description; the message names the part, often a remedy."""
+    """A file of a robot is invalid or unsuitable; the message names the part, often a remedy."""
 
 
 class ConfigError(DbbError):
@@ -114,7 +114,7 @@ class ServerError(DbbError):
 
 
 class BrowserError(DbbError):
-    """No browser with 3D graphics is available."""
+    """No browser with 3D graphics is available, or the browser has failed."""
 
 
 class LoopError(DbbError):
@@ -127,8 +127,8 @@ EXTRAS = {
     "onboarding": "collada fast_simplification jinja2 matplotlib mpl_toolkits xacro xacrodoc",
     "sim": "foxglove google mujoco pyarrow pybullet pybullet_data rosbags scipy trimesh",
 }
-"""The modules that each extra of the package installs, without the extras `all` and `robots`. Each
-extra other than `sim` also installs `sim`, and serves the package of its name in `app`."""
+"""The modules that each of these four extras of the package installs. Each one except `sim` also
+installs `sim`, and serves the package of its name in `app`."""
 
 
 @contextmanager

@@ -58,9 +58,9 @@ def field_docs(cls: type) -> Iterator[tuple[str, str]]:
 
 
 class Sourced(Strict):
-    """A record in which every stated number needs a line in `source`."""
+    """A record in which every stated number needs an entry in `source`."""
 
-    source: dict[str, str] = Field(default_factory=dict)  # of each number, by its field's name
+    source: dict[str, str] = Field(default_factory=dict)  # sources of numbers by fields' names
 
     @model_validator(mode="after")
     def _every_number_has_a_source(self) -> Self:

@@ -383,14 +383,14 @@ def open_standard_files() -> None:
 
 
 def set_missing_folders() -> None:
-    """Set TMPDIR if no temporary folder is writable, and HOME (for browsers) if there is none."""
+    """Remove an unwritable TMPDIR, set it if no folder is writable; set HOME if there is none."""
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
     try:
         tempfile.gettempdir()
     except FileNotFoundError:
         os.environ["TMPDIR"] = "/dev/shm"
-    if not os.path.isabs(os.path.expanduser("~")):
+    if not os.path.isabs(os.path.expanduser("~")):  # browsers need it
         with suppress(OSError):
             os.environ["HOME"] = str(_private_folder(Path(tempfile.gettempdir())))
 

@@ -30,7 +30,7 @@ class ActingPoint(NamedTuple):
     t: Array
     """(3,) unit tangent, horizontal."""
     alpha: float
-    """[m] step size."""
+    """[m] α of (13), the largest size of the step (12)."""
 
 
 @compiled()
@@ -51,7 +51,7 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
 @compiled()
 def uphill(gradient: Array) -> Array:
-    """(3,) ∇S/‖∇S‖ from ∇S (3,); e_x on the wheel axis, where ∇S = 0: the limit from both sides."""
+    """(3,) ∇S/‖∇S‖ from ∇S (3,); e_x if ∇S = 0: on the wheel axis, the limit from both sides."""
     norm = math.sqrt((gradient**2).sum())
     return gradient / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
 

@@ -49,14 +49,14 @@ class DistanceMonitor:
 class SmoothPoints:
     """Closest points by a mean over the nodes of the core of `b`; nearer nodes weigh more.
 
-    Nodes are points of the core, such as the axis of a capsule; "Closest points" in docs/method.md
-    has the formulas. If a capsule is parallel to a face, the library's closest point is one of
-    many, and jumps from one end to the other as the capsule turns. The mean moves continuously,
-    because the distance of each node to `a` is continuous. If one node is much nearer than the
-    others, this node is the result. If `a` has several convex parts, the normal is a mean of the
-    parts' normals, and is shorter than 1 in a corner between two parts. The nearest point of a flat
-    face can be any of its points. Therefore, on each shape of `b` with flat faces, the points that
-    are nearest to the nodes of `a` are nodes too.
+    Nodes are points of the core, such as 7 on the axis of a capsule; "Closest points" in
+    docs/method.md has the formulas. If a capsule is parallel to a face, the library's closest point
+    is one of many, and jumps from one end to the other as the capsule turns. The mean moves
+    continuously, because the distance of each node to `a` is continuous. If one node is much nearer
+    than the others, only this node counts. If `a` has several convex parts, the normal is a mean of
+    the parts' normals, and is shorter than 1 in a corner between two parts. The nearest point of a
+    flat face can be any of its points. Therefore, on each shape of `b` with flat faces, the points
+    that are nearest to the nodes of `a` are nodes too.
 
     Attributes:
         rows: For each pair: the index of its own row in the results of `mean_nearest`, then, if `a`

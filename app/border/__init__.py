@@ -1,1 +1,1 @@
-"""The distance buffer border: points around the mobile base, their score, and stored files."""
+"""The distance buffer border, a surface or points around the base; its score and stored files."""

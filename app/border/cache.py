@@ -94,7 +94,7 @@ def kept_border_data(
 ) -> BorderData | None:
     """Load the pairs and clouds of a robot, or return None if no valid file has them.
 
-    The user's cache has precedence over the delivered files. A file of another robot with the same
+    `cache_folder` has precedence over the delivered files. A file of another robot with the same
     key is valid too. A warning names each invalid file. Errors: those of `border_key`.
     """
     key = border_key(model.description, sampling or SamplingConfig())
@@ -120,8 +120,8 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits.
 
     The key depends on the sampling, and on all data of the robot that determine its pairs and
-    clouds, but not on masses, colours, gains or paths. Errors: those of `read_urdf`, and an
-    AssetError if a mesh is missing.
+    clouds, but not on masses, colours, gains or absolute paths. Errors: those of `read_urdf`, and
+    an AssetError if a mesh is missing.
     """
     arm = description.arm
     content = {

@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile base (DistanceToMobile).
 
 The distances are those of the collision library. For boxes and round shapes, these compiled
-functions are fifty times faster than the library.
+functions are much faster than the library.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Shapes(NamedTuple):
 
     @classmethod
     def together(cls, shapes: Sequence[Shapes]) -> Shapes:
-        """All shapes of several records, in their order."""
+        """The shapes of several `Shapes` in one, in their order."""
         rows = np.concatenate([np.empty((0, 16)), *(each.rows for each in shapes)])
         triangles = np.concatenate([np.empty((0, 4, 3)), *(each.triangles for each in shapes)])
         firsts = np.cumsum([0, *(len(each.triangles) for each in shapes)])[:-1]

@@ -4,7 +4,7 @@ The border is a surface, the exact offset of l_m, or consists of points as in th
 within ε of the surface. The surface also covers regions that the arm never reaches: the arm's
 closest point is never there, and the reachability in the score leads away from such regions.
 
-At each height of its offset, a shape of l_m has a ring: the boundary of the offset's slice, as a
+At each traced height, a visible shape of l_m has a ring: the boundary of the offset's slice, as a
 closed polygon. The parts of all rings outside of the other shapes' offsets form the contour: one
 closed curve, or several curves around islands or holes. Between the heights of two rings, the
 vertices and their distances to the other offsets are interpolated; two rings cross where such a
@@ -61,7 +61,7 @@ class OffsetContours(NamedTuple):
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """Curves (K, 3) [m] of the contour at z [m]; else of the nearest in height, moved to z."""
+        """Curves (K, 3) [m] at height z [m]: the contour, if any, or else the nearest in height."""
         at = level(self.firsts, self.heights, z)
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(at)]
 

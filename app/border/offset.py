@@ -14,8 +14,8 @@ from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
 
 RAYS = 360  # number of rays from the centre of a slice
-_STEP = 0.01  # [m] distance between heights, and along the arcs above the top and below the bottom
-_HIGH_BOTTOM = 0.8  # [-] an offset has an arc below the shape if its bottom / d_b is above this
+_STEP = 0.01  # [m] largest distance between heights, or along the arcs at top and bottom
+_HIGH_BOTTOM = 0.8  # [-] offsets have an arc below a shape whose bottom / d_b is above this
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other

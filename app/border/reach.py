@@ -85,7 +85,7 @@ class Chain:
         return rng.uniform(*self.ranges)
 
     def _meets(self, numbers: int) -> bool:
-        """Whether the first `numbers` rows of the Jacobian are independent in any of 4 postures."""
+        """Whether the first `numbers` rows of J are independent in at least 1 of 4 postures."""
         rng = np.random.default_rng(0)
         tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(4))
         ranks = (np.linalg.matrix_rank(J[:numbers], tol=1e-6) for _, J in tried)  # [m/rad or -]

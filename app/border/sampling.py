@@ -39,8 +39,8 @@ class SamplingConfig(Strict):
     voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)  # [m] height of a voxel
     sectors: int = Field(default=16, ge=1, le=64)  # [-] number of sectors around the base's centre
     rounds: int = Field(default=4, ge=1, le=16)
-    """[-] number of floods of a sector; the second and later floods start at the borders to the
-    neighbouring sectors."""
+    """[-] largest number of floods of a sector; the second and later floods start at the borders to
+    the neighbouring sectors."""
     retries: int = Field(default=6, ge=0, le=16)
     """[-] number of further attempts of a batch of postures to step into open voxels."""
 
@@ -49,7 +49,7 @@ _FEWER = {"pair_samples": 20_000, "cloud_samples": 20_000, "rounds": 1, "retries
 QUICK = SamplingConfig(**_FEWER, voxel_plan=0.03, voxel_height=0.03)
 """A coarse sampling, which takes seconds on one core: fewer samples, and voxels of 3 cm."""
 
-_SEED_JOBS = 16  # [-] jobs of random postures per pair, for any number of cores: equal samples
+_SEED_JOBS = 16  # [-] jobs of random postures per pair; fixed: cores do not change the samples
 _BATCH = 2048  # [-] smallest number of postures in a batch, if there are enough postures
 _DAMPING = 0.03  # [m] damping of the pseudo-inverse; entries of an arm's Jacobian are around 0.5 m
 _FREE_STEP = 0.10  # [rad] random self-motion of the first retry; it grows with each retry
@@ -71,10 +71,10 @@ def sample_clouds(
     finds almost no points at the base's sides; therefore floods follow. The postures satisfy the
     joint limits, with distances in the sampled range; collisions of other pairs are allowed.
 
-    `progress` displays a progress bar on standard error. `on_progress` is called with the share of
-    the work that is done, 0 to 1. `processes` is the number of parallel processes, by default one
-    for each usable core; it has no effect on the result. Raises a DescriptionError if the base is
-    too large for the stored points.
+    `progress` displays a progress bar on standard error. `on_progress` gets the finished share of
+    the work until the first floods end, 0 to 1. `processes` is the number of parallel processes, by
+    default one for each usable core; it has no effect on the result. Raises a DescriptionError if
+    the base is too large for the stored points, and the LoopError of `Workers.map`.
     """
     make_context = partial(Context, model.description, config)
     children = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -163,7 +163,7 @@ class SectorJob(NamedTuple):
 
 
 def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> Kept:
-    """Draw random postures, and return those whose distance to l_m is in (`d_low`, `d_high`)."""
+    """Draw random postures; return those with the pair's distance in (`d_low`, `d_high`)."""
     (pair, seed), config = job, context.config
     count = -(-config.cloud_samples // _SEED_JOBS)
     q_m = sample_joints(context.model, count, np.random.default_rng(seed))
@@ -304,7 +304,7 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
 
 
 def _take(queue: list[Witnesses]) -> Witnesses:
-    """Remove and return the last postures of a queue: at least a batch, or all if too few."""
+    """Remove and return the last postures of a queue: at least `_BATCH`, or all if it has fewer."""
     taken, count = [], 0
     while queue and count < _BATCH:
         taken.append(queue.pop())

@@ -176,7 +176,7 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
     for name, path in paths.items():
         about = tunable(path)
         kind, unit = (str, about.allowed) if about.choices else (float, about.unit)
-        usual = f"{_text(about.default)}, unless robot.toml sets another value"
+        usual = f"{_text(about.default)}, unless robot.toml or an input file sets another value"
         found[name] = Field(kind, usual, f"[{unit}] {about.help}")
     return from_record(found)
 
@@ -191,7 +191,7 @@ def configured(
     """The robot's defaults, overridden by the file of `--config`, and then by the options `given`.
 
     `paths` has the path of the parameter that each option sets, such as `border.d_b`. A second
-    robot of the same name (`hidden_robot`) causes a warning in the log.
+    robot of the same name (`hidden_robot`) causes a warning of `logging`.
     """
     changed(read(file).config, given or {}, paths)  # finds an error before the import
     from app.robot.assets import hidden_robot

@@ -114,8 +114,8 @@ def new_robot(
 
     Args:
         quick: Sample a coarse border in seconds. The first `dbb serve` uses it, and refines it in
-            the background for the next start. Other commands first sample the full border, which
-            takes minutes; `dbb check-robot --quick` does not.
+            the background for the next start. Other commands that need a border first sample the
+            full one, which takes minutes; `dbb check-robot --quick` does not.
     """
     asked = Request(**request)
     check_request(asked)

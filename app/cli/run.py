@@ -1,4 +1,4 @@
-"""`dbb run`: a run of a scenario or a case without a display, faster than real time."""
+"""`dbb run`: a run of a scenario or a case without a display, as fast as possible."""
 
 import sys
 from collections.abc import Callable
@@ -118,7 +118,7 @@ def run_case(
 ) -> None:
     """Repeat a case: the same robot, scenario, parameters and seed.
 
-    With the same version of dbb and without options that change the run, the results are the same.
+    Unless options change the run, only computing times differ, with the same version and machine.
 
     Args:
         case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.

@@ -48,8 +48,8 @@ class Serving:
     robot.toml has no [lines.guiding-front], the arm starts in its ready posture."""
     case: Path | None = None
     """File of a case, saved in the dashboard or in the folder `failures` of a study. The case sets
-    robot, start, parameters and seed, and also controller and plant unless --controller or
-    --physics sets them. A button repeats the case."""
+    robot, start, parameters, controller, plant and seed; only --controller, --physics, --border and
+    --buffer-distance override the case. A button repeats the case."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "allow_host", tuple(map(checked_host, self.allow_host)))

@@ -2,7 +2,7 @@
 
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
 table of quantities (`app.control.quantities`). Most formulas of other modules take arrays instead
-of `w`, and only this file connects them; `readings`, `references`, `estimate` and
+of `w`, and only this file connects them; `readings`, `references`, `estimate`, `hqp` and
 `torque_reachable_bounds` work on `w` itself. docs/method.md has the formulas beyond the paper's.
 
 Tasks have weights instead of strict levels, and each QP is strictly convex. Each row of T_sca for a
@@ -12,15 +12,15 @@ with its activation β (`insert_rows`). The base's rows are blended with the oth
 branch of lines 16 to 18, without T_sca, is not needed. The barriers do not depend on β.
 
 The base's command (`command_base`) is computed before the arm's torques, because the base follows
-its commands late. The tasks in the QPs of the base have slow gains (`slow`), because its commands
-are rare. The admittance law (§4.1, `update_command`) converts the base's acceleration to the
-velocity command. If the axes of a base depend on each other, `Controller` then replaces this
-command by an admissible one.
+its commands late. T_2 and the rows between links have slow gains (`slow`) in the QPs of the base,
+because its commands are rare. The admittance law (§4.1, `update_command`) converts the commanded
+acceleration of the base to the velocity command. If the axes of a base depend on each other,
+`Controller` then replaces this command by an admissible one.
 
-The arm's q̈ (`accelerate_arm`) minimises the errors of the tasks; the rows of T_sca are springs that
-compete with them, (29). The arm's limits apply, and the base has its present acceleration
-(`assume_base`). The torques follow from q̈, (26). The compared method `hqp` does not solve the QPs
-of base and arm: its q̈ is the solution of the paper's hierarchy, which `Controller` computes.
+The arm's q̈ (`accelerate_arm`) minimises the errors of the tasks; the springs of T_sca compete with
+them, (29). The arm's limits apply, and the base has its present acceleration (`assume_base`). The
+torques follow from q̈, (26). The compared method `hqp` does not solve the QPs of base and arm: its
+q̈ is the solution of the paper's hierarchy, which `Controller` computes.
 """
 
 import math
@@ -84,7 +84,7 @@ from app.robot.state import (
 )
 from app.strict import Array
 
-_MARGIN = 3.0  # [-] margin of the speed limits, as a multiple of recent velocity errors
+_MARGIN = 3.0  # [-] margin of speed limits and barriers, as a multiple of recent velocity errors
 _MOST_MARGIN = 0.5  # [-] largest margin, relative to a joint's speed limit: a larger one would let
 # the constraints throw the arm away from an obstacle that it hardly approaches
 BUFFER_RATE = 0.1  # [m/s] speed at which the present buffer distance approaches the configured one:
@@ -120,9 +120,9 @@ def update_estimate(
     This is the part of line 2 of Algorithm 2 that precedes pinocchio's computation. The present
     buffer distance `w.d_b` starts at the configured one, and approaches a new one at `BUFFER_RATE`.
     Without valid readings, or with the fault `jump` or `localisation`, all references are
-    forgotten. With valid readings, `shift_reference` then shifts the reference that
-    `take_reference` has written. Returns whether the readings have a fault; invalid readings have
-    one. The arguments from `readings` on are those of `take_readings`.
+    forgotten. With valid readings, `shift_reference` then shifts the reference in `w.x_ref` after
+    a jump of the base's pose. Returns whether the readings have a fault; without valid readings,
+    the result is True. The arguments from `readings` on are those of `take_readings`.
     """
     way = BUFFER_RATE * gains.dt
     if math.isnan(w.d_b[()]):
@@ -156,7 +156,7 @@ def algorithm_2(
 
     `robot`, `gains`, `border` and `w` are the structs `ROBOT`, `GAINS`, `BORDER` and `STEP`; `slow`
     are the gains of the slower configuration `app.config.slowed`, for the base's QPs. `w` already
-    contains the results of `update_estimate`, and of pinocchio. `base_source` is `DRIVE_MODEL`,
+    contains the results of `update_estimate`, pinocchio and coal. `base_source` is `DRIVE_MODEL`,
     `BASE_MEASURED` (in `w.a_base_meas`) or `BASE_AS_COMMANDED`. `tracking` states whether there is
     a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`). Returns `w.qp_open`: the number of the problem
     that Python has to solve, or 0 after a complete step.
@@ -194,7 +194,7 @@ def activate_pairs(gains: Any, w: Any) -> None:
 def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
     """Lines 3 to 6: write acting points and forces of the pairs of arm and base, ẍ_m and β_m.
 
-    A pair with β = 0 has no force, and its points are NaN.
+    A pair with β = 0 has no force, and its p_n, p_t, p_act, t and α are NaN.
     """
     for i in range(robot.n_mob):
         for unknown in (w.p_n[i], w.p_t[i], w.p_act[i], w.tangent[i]):
@@ -222,10 +222,10 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """Write the base's accelerations: a_free, the blend a_des of (29), and the commanded one.
 
     While a person guides the arm, only the method `barrier` solves the QP of a_free; with the other
-    methods a_free = −k ν, with k = `base_damping`. The command begins as a_des; if β_m > 0,
-    `undragged` changes it. While tracking, the QP of `set_up_room` changes it as little as needed
-    for the arm to fulfil T_2 within its limits. Finally, it is clipped to ±a_max. The function ends
-    early if Python has to solve a QP. If a QP has no solution, the command is −k ν (braking).
+    methods a_free = −k ν, with k = `base_damping`. The command begins as a_des; with active rows of
+    the base, `undragged` changes it. While tracking, the QP of `set_up_room` changes it as little
+    as needed for the arm to fulfil T_2 within its limits. Finally, it is clipped to ±a_max. The
+    function ends early if Python has to solve a QP. If a QP has no solution, the command is −k ν.
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -409,11 +409,11 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     """Write the limits of the QP `which` into w.C, w.l, w.u and w.softness; return their number.
 
     Each QP has the limits of torques and joints, with the approach rates of `gains`. The torque
-    limits are hard: w.u_min and w.u_max in the arm's QP, otherwise those of the robot. All other
-    limits are soft. A barrier of a pair has a row for each convex part of l_a.
+    limits are hard: w.u_min and w.u_max in the arm's QP, otherwise those of the robot. Joint limits
+    and barriers are soft. A barrier of a pair has a row for each convex part of l_a.
 
-    - ARM: if the method has barriers, the distances of all pairs stay above d_min. The limits of
-      joints and distances include external accelerations; those of speeds and distances have a
+    - ARM: if the method has barriers, those of all pairs at d_min. The limits of joints and
+      distances include external accelerations; those of speeds and distances have a
       margin for recent errors of velocities. While readings are rare or late (blind time T > dt),
       the limits of joints and distances also apply with a rate of at most 1/(2 T): a faster
       reaction to a wrong prediction would let the arm oscillate. `torque_reachable_bounds` then
@@ -518,7 +518,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
     Minimise ‖q̈ − q̈_0‖ in the metric H: the smallest change with which the arm fulfils T_2 within
     its limits. q̈_0 has the base's response to `w.a_base_cmd`, and minimises ½ q̈ᵀ H q̈ + cᵀ q̈ over
-    the arm's entries. This cost contains posture, T_2 with a far higher weight than in the other
+    the arm's entries. This cost contains posture, T_2 with `base_weight` times its weight in other
     QPs, and the base's rows as springs. The limits have slow approach rates, so the base reacts
     early: it turns before a wrist joint is at a limit, for example. Returns the number of limits.
     """
@@ -549,8 +549,8 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
 
     FREE_BASE solves for all entries of q̈. ARM fixes the base's entries to `w.qp_fixed`; ROOM starts
     from these values, and can change them (`solve_qp_step`). If the active-set method finds no
-    solution, the first pass of a step marks the QP as open (`w.qp_open`), and the second pass
-    returns ProxQP's solution. Returns the solution (n,), and whether a solution has been found.
+    solution, this pass of the step marks the QP as open (`w.qp_open`), and the next pass returns
+    ProxQP's solution. Returns the solution (n,), and whether a solution has been found.
     """
     C, l, u, softness = w.C[:m], w.l[:m], w.u[:m], w.softness[:m]
     fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
@@ -605,7 +605,7 @@ def next_command(
 
 @compiled()
 def update_command(robot: Any, gains: Any, w: Any) -> None:
-    """Compute the admittance law's velocity command at the end of each command period (§4.1)."""
+    """Integrate `a_base_cmd`; after each command period, compute the velocity command (§4.1)."""
     put(w.a_sum, w.a_sum + w.a_base_cmd * w.elapsed[()])
     w.t_sum[()] += w.elapsed[()]
     w.command_due[()] = w.t_sum[()] >= gains.command_period - gains.dt / 2

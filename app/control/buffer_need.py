@@ -93,7 +93,7 @@ class Approach(NamedTuple):
     v: float
     """[m/s] speed of the arm's closest point relative to the floor, along -n."""
     n: Array
-    """(3,) unit normal of the pair from the base to the arm, in the base's frame."""
+    """(3,) normal of the pair from the base to the arm, length 1 or less, in the base's frame."""
     p_b: Array
     """(3,) [m] closest point on the arm, in the base's frame."""
 

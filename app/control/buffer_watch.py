@@ -15,8 +15,8 @@ from app.control.quantities import ControlStep
 from app.robot.state import RobotState, point_velocity
 from app.strict import Array
 
-_SAMPLE = 10  # control steps between two readings of the speed
-_EVERY = 50  # control steps between two evaluations of the mean reading
+_SAMPLE = 10  # control steps between two samples of the speed
+_EVERY = 50  # control steps between two evaluations of the mean speed
 _REMEMBERED = 3.0  # [s] during which an approach is recent
 _SLOW = 0.005  # [m/s] smallest approach speed
 _FARTHEST = parameter("border.d_b").high  # [m] largest distance of an approach
@@ -34,7 +34,7 @@ class BufferReading(NamedTuple):
     needed_max: float
     """[m] the d_b that the approach of `approach_speed_max` requires."""
     too_small: bool
-    """Whether `needed` exceeds the configured d_b; False if the controller never moves the base."""
+    """Whether `needed` exceeds the configured d_b; False for controllers outside `MOVES_BASE`."""
     too_small_ever: bool
     """The same for `needed_max`."""
 
@@ -65,7 +65,7 @@ class BufferWatch:
     ) -> BufferReading:
         """Sample every 10th control step of dt [s], evaluate every 50th; return the newest reading.
 
-        `gives_way` states whether the controller moves the base away from the arm.
+        `gives_way` states whether the controller is in `app.control.inputs.MOVES_BASE`.
         """
         if self._steps % _SAMPLE == 0:
             if self._steps == 0:

@@ -21,7 +21,7 @@ from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
 _FLOAT = np.dtype(float)
-_FASTEST_JOINT = 20.0  # [rad/s, m/s] speed limit above which a joint counts as this fast
+_FASTEST_JOINT = 20.0  # [rad/s, m/s] higher speed limits of joints or base count as this
 _FASTEST = 0.6  # [-] largest product of a gain [1/s], or of the root of one in 1/s², and the period
 _POWERS = {"1/s": 1, "1/s²": 2}
 _down = Context(prec=3, rounding=ROUND_DOWN).create_decimal_from_float
@@ -35,7 +35,7 @@ def checked_period(dt: float) -> float:
 
 
 def check_types(model: RobotModel, data: BorderData | None, interpolate: bool) -> None:
-    """Raise a ConfigError if an argument of the controller has a wrong type."""
+    """Raise a ConfigError if `model`, `data` or `interpolate` has a wrong type."""
     for name, value, kinds, form in (
         ("model", model, RobotModel, "a RobotModel, such as RobotModel(load_robot('husky_panda'))"),
         ("data", data, BorderData | None, "a BorderData or None"),
@@ -46,7 +46,7 @@ def check_types(model: RobotModel, data: BorderData | None, interpolate: bool) -
 
 
 def check_gains(config: Config, dt: float) -> None:
-    """Raise a ConfigError for no `Config`, or for a gain that is too large for a period dt [s]."""
+    """Raise a ConfigError if `config` is no `Config` or a gain is too large for a period dt [s]."""
     if not isinstance(config, Config):
         raise ConfigError(
             f"config must be a Config, was {type(config).__name__}; Config().changed(...) changes "
@@ -99,7 +99,7 @@ def clocks_differ(measurement: Measurement) -> MeasurementError:
 def rounding(measurement: Measurement, dt: float) -> str:
     """A note if single precision has rounded a time to multiples of more than dt [s], else "".
 
-    A whole number below a UNIX time, or a large age, gives no note: it is rather in ms or µs.
+    A whole number below a UNIX time, or a large age, gives no note: the time is rather in ms or µs.
     """
     times = {name: np.float64(getattr(measurement, name)) for name in ("now", "time", "base_time")}
     for name, value in times.items():
@@ -177,7 +177,7 @@ def checked_reference(reference: Reference) -> Reference:
 
 
 def largest_speeds(model: RobotModel) -> Array:
-    """(6,) [m/s, rad/s] speeds of the end-effector, in the ready posture, at all speed limits."""
+    """(6,) [m/s, rad/s] bounds of the end-effector's velocity: ready posture, all speed limits."""
     ready, base = np.array(model.description.arm.ready_position), model.description.base
     q, data = model.configuration((0.0, 0.0, 0.0), ready), model.pin.createData()
     J = pin.computeFrameJacobian(model.pin, data, q, model.ee_frame, pin.LOCAL_WORLD_ALIGNED)

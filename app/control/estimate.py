@@ -4,7 +4,7 @@ A Kalman filter of each joint estimates its position, its velocity and its exter
 Torques and the base's motion predict a joint's acceleration; the external acceleration is a random
 walk. The noise is estimated from the readings (`_learn`); the weight of a velocity depends on its
 agreement with the difference of the last two positions. Thus the filter follows readings without
-noise at once, noisy ones do not shake the arm, and wrong velocities have little or no effect.
+noise within 4 ms, noisy ones do not shake the arm, and wrong velocities have little or no effect.
 
 The estimate belongs to the newest reading; `advance` predicts the present state from it, and
 `estimate_load` finds loads in the external torques that the external accelerations imply. Tasks do
@@ -31,7 +31,7 @@ _SUDDEN = 2e4  # [1/s²] largest change of the external acceleration in a second
 _MOST_DRIFT = 20.0  # [rad/s²] largest process noise in one second that prediction errors imply
 RESPONSE = 0.004  # [s] response time of the filter to fresh readings, unless they are too noisy
 _SHAKE = 0.01  # [-] largest noise of an estimated speed, relative to a speed limit
-_SMALL = 1e-11  # [rad²] variance of positions below which all samples are plausible
+_SMALL = 1e-11  # [rad²] lower bound of the variance of positions for `_PLAUSIBLE`
 FARTHEST = 10.0  # [-] largest plausible ratio of a motion, or of a velocity, to the speed limit
 _REVERSED = 4.0  # [-] largest remaining friction after a push upwards, relative to the push
 _SETTLED = 20  # [-] samples of the noise before a load can be estimated
@@ -50,7 +50,7 @@ _GRAVITY = 9.81  # [m/s²]
 def has_jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float, waited: Array) -> bool:
     """Whether the arm cannot move from the state x (3, n_m) to q (n_m,) in `steps` times dt [s].
 
-    `waited` (n_m,) is the number of steps between each joint's last reading and the time of x.
+    `waited` (n_m,), the steps from each joint's last reading to the time of x, permit more.
     """
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
@@ -74,9 +74,9 @@ def _begin_at(
 ) -> None:
     """Take a reading without a filter; reset P to the noise variances `trusted` (2, n_m).
 
-    A clear change of the velocity that the external acceleration x[2] and `predicted` do not
-    explain changes x[2]. A joint without a position is only predicted. The other arguments are
-    those of `estimate_arm`.
+    x is `w.x_read`. A clear change of the velocity that the external acceleration x[2] and
+    `predicted` do not explain changes x[2]. A joint without a position is only predicted. The other
+    arguments are those of `estimate_arm`.
     """
     x, P, steps, dt = w.x_read, w.P_est, len(predicted), gains.dt
     expected = x.copy()
@@ -127,8 +127,8 @@ def estimate_arm(
     After such a jump, the filter restarts at the reading with an external acceleration of 0; after
     a gap it restarts with the last external acceleration. Until the estimate of the noise has
     `FEWEST` samples, `_begin_at` replaces the filter. A joint without a position is only predicted.
-    As in drives and simulators, a measured velocity is the mean velocity of the last control
-    period.
+    A measured velocity counts as the mean velocity of the last control period, as in drives and
+    simulators.
 
     `predicted` (k, n_m) has the `predicted_joint_acceleration` in each of the k control periods
     since the last reading; no rows after a gap. `read` (2, n_m) has positions [rad or m] and
@@ -177,11 +177,11 @@ def advance(x: Array, predicted: Array, dt: float) -> None:
 def _learn(w: Any, predicted: Array, q: Array, qd: Array, gains: Any) -> None:
     """Include one more reading, q and qd (n_m,), in the noise estimate.
 
-    Two successive intervals imply two velocities at the reading between them. Their difference,
-    times the newer interval's duration, is the unexplained second difference of the positions. Its
-    squared change / 20 is a sample of the positions' noise. After `FEWEST` samples, an outlier is
-    bounded and weighs as one period: a delay, a stop or an external force in a gap causes it. The
-    squared difference of a velocity from the implied one is a sample of the velocities' noise.
+    By `predicted`, two successive intervals imply two velocities at the reading between them. Their
+    difference, times the newer interval's duration, is the unexplained second difference of the
+    positions. Its change since the last reading, squared / 20, is a sample of the positions' noise.
+    After `FEWEST` samples, an outlier is bounded and has the weight of one period: a delay, a stop
+    or a force in a gap causes it. (qd − newest implied velocity)² is a sample of qd's noise.
     """
     steps, dt, last, variances, samples = len(predicted), gains.dt, w.q_last, w.noise_var, w.samples
     window = gains.noise_window
@@ -229,7 +229,7 @@ def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
 def _correct(x: Array, p: Array, k: int, reading: float, variance: float, sudden: float) -> None:
     """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]; x[2] by at most `sudden`.
 
-    If `sudden` limits the correction of x[2], the remaining variance of x[2] is larger.
+    The variance of x[2] falls less if `sudden` limits the correction.
     """
     share, error = 1.0 / (p[k, k] + variance), reading - x[k]
     gain_0, gain_1, gain_2 = share * p[0, k], share * p[1, k], share * p[2, k]

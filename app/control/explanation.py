@@ -65,13 +65,13 @@ class NearPair(NamedTuple):
     b: str  # name of the other body, as in `lEE`
     mobile: bool  # whether one of the two bodies is the base (a pair of L_m)
     d: float  # [m] signed distance in the control step
-    beta: float  # [-] activation parameter
+    beta: float  # [-] activation β
     n: tuple[float, float, float]
     """Normal from `a` to `b`, in the base's frame, of length 1 or less."""
     above: float
     """[-] 1 − ‖n_xy‖: share of the force, 0 to 1, that is lost above the base; 0 within the arm."""
     arm_beta: float
-    """[-] activation of the rows T_rep of the arm; 0 if the controller has no such rows."""
+    """[-] activation of the pair's rows T_rep; 0 if it has no such rows."""
     limited: bool  # whether the barrier of the pair's distance is active: it limits the approach
     force: ForceSplit | None
     """The force of the pair on the base. None for a pair within the arm, while the base has no
@@ -110,8 +110,8 @@ class Explanation(NamedTuple):
     """[m/s² or rad/s²] acceleration (16) of the base, times β_m; 0 without the base's rows."""
     commanded_acceleration: ByAxis  # [m/s² or rad/s²] commanded base acceleration
     assumed_acceleration: ByAxis
-    """[m/s² or rad/s²] base acceleration that the arm's QP assumes (`a_base_meas`); with the
-    fallback command, the commanded acceleration."""
+    """[m/s² or rad/s²] `a_base_meas`, which the arm's QP assumes, but not `hqp`; with the fallback
+    command, the commanded acceleration."""
     levels: tuple[Level, ...]
     """Slack of each active task, as by `level_readings`; empty with the fallback command."""
     bounds: tuple[Bound, ...]  # the active limits of the step
@@ -186,7 +186,7 @@ def objective_slack(H: Array, c: Array, qdd: Array, n_b: int) -> Array:
 
 
 def row_slacks(w: ControlStep) -> Array:
-    """(n_s,) slack of each row of T_sca: the blend of (29) minus the row's result; 0 if β = 0."""
+    """(n_s,) slack of each row of T_sca: printed blend of (29) minus the result; 0 if β = 0."""
     without = w.qdd.copy()
     without[w.n_b :] -= objective_slack(w.H, w.c, w.qdd, w.n_b)
     blend = w.B * w.b_sca + (1.0 - w.B) * (w.J_sca @ without)

@@ -14,7 +14,7 @@ from app.config import TaskConfig
 from app.control.quantities import ControlStep
 from app.strict import Array
 
-_DEPENDENT = 1e-9  # [-] singular value, relative to the level's norm, that counts as 0
+_DEPENDENT = 1e-9  # [-] largest singular value, relative to the norm of J, that counts as 0
 
 
 class Task(NamedTuple):

@@ -104,9 +104,9 @@ MOVES_BASE = frozenset(name for name, terms in METHODS.items() if "moves_base" i
 def robot_struct(
     model: RobotModel, data: BorderData, smooth: SmoothPoints, distances: PairDistances
 ) -> Any:
-    """`ROBOT`: constants of a robot, and of the closest points and distances of its link pairs.
+    """`ROBOT`: constants of a robot, and those for closest points and distances of link pairs.
 
-    A body of L_m without reachability raises a DescriptionError.
+    A body of the arm in L_m without reachability raises a DescriptionError.
     """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile

@@ -2,7 +2,7 @@
 
 For matrices of ten rows the overhead of LAPACK exceeds the computation. The active-set search of
 the QP ends without a solution after ten passes per row, if hard rows seem infeasible, or if the
-data are not finite. Then ProxQP, which takes a millisecond, is the rare last resort.
+data are not finite. Then ProxQP, which is slower, is the last resort.
 """
 
 import math
@@ -20,7 +20,7 @@ _MISSED = 1e-10  # tolerance of the limits, in their own units
 
 @compiled()
 def put(into: Array, values: Array | tuple[float, ...]) -> None:
-    """Copy values into an array; ``into[:] = values`` compiles to fifty times as much code."""
+    """Copy values into an array; ``into[:] = values`` compiles to far more code."""
     for i in range(len(into)):
         into[i] = values[i]
 
@@ -155,7 +155,7 @@ def _activate_row(
 
     `side` is 1 if row p is below its lower bound, −1 if above its upper one, `miss` the distance
     from this bound; K and y are those of `_nearest_within`. Returns the number of active rows, and
-    whether row p is at its bound; if not, the hard rows are infeasible.
+    whether row p is at its bound; if not, the hard rows seem infeasible.
     """
     m = len(y)
     while True:

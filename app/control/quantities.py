@@ -1,10 +1,10 @@
 """The table of quantities: each quantity of a control step is declared once.
 
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
-them; logs, the explanation, studies and tests read them under the same names. The next step
-overwrites them. In a step without valid readings all kinematics are those of the last valid step.
-docs/notation.md explains the frames, and "memory" with the effect of `reset`. Two states are not in
-the table: the control period in use (`Controller.dt`), and the drive's state (`RobotState.drive`).
+them; snapshots, the explanation, studies and tests read them by name. The next step overwrites
+them. In a step without valid readings the kinematics are those of the last valid step, except the
+predicted `qd`. docs/notation.md explains the frames, and "memory" with the effect of `reset`. Two
+states are not in the table: the control period `Controller.dt`, and the drive's `RobotState.drive`.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Quantity(NamedTuple):
     shape: str
     """Dimensions of `DIMENSIONS` or numbers, separated by blanks; empty for a number."""
     unit: str
-    """SI units; for a vector with several kinds of entries all of them."""
+    """SI units; for a vector with several kinds of entries all of them; can be empty."""
     frame: str
     """Frame or axes of the components; empty for a quantity without components."""
     source: str
-    """Equation, algorithm or section of the paper, or the name of a function or module."""
+    """Equation, algorithm, section of the paper, or name of a function or module; can be empty."""
     meaning: str
     """Meaning in one line; for a quantity that the next step reads, this line begins "memory:"."""
 
@@ -106,20 +106,20 @@ clock_span | 3 | 1 | |
     their intervals in control periods and of the squares of these intervals
 clock_ratio | | 1 | | ratio of the control period by the clock to `dt`; 0 before a measurement
 elapsed | | s | |
-    time since the last step; 1 period after a pause too long for a prediction; 0 if it catches up
+    time since the last step; 1 period after a pause too long to predict; 0 if the loop catches up
 stamp | | s | | time stamp of the newest reading; NaN without one
 hidden_lag | | 1 | | the part of `lag` that time stamps do not show, in control periods
 stated_lag | | 1 | | the part of `lag` that `estimate.delay` states
 ratio | | 1 | | ratio of a joint's motion to the integral of its velocity; 0 before a measurement
 agreed | | s | | duration of the successive measurements that agree on a `ratio` other than 1
-corrected | | 1 | | 1 after the fault `period`
+corrected | | 1 | | 1 after a fault `period` without a clock
 no_velocity | | 1 | | 1 while velocities do not match the positions
 rested | n_m | 1 | joints | number of successive equal readings of a joint, without repetitions
 grain | n_m | rad, m | joints | upper bound of each encoder's resolution; 0 before a change
 interval | | 1 | | control periods between the last two new readings
 reading | 2 n_m | rad, rad/s | joints | newest positions and velocities
 pose_read | 3 | m, m, rad | world | newest pose of the base
-pose_last | 3 | m, m, rad | world | pose of the base at the last used reading
+pose_last | 3 | m, m, rad | world | pose of the base, `lag` control periods ago
 pose_moved | 3 | m, m, rad | world | integral of the velocities since the newest pose of the base
 pose_error | 3 | m, m, rad | world | recent changes of the pose minus those by the velocities
 pose_jump | 3 | m, m, rad | world |
@@ -239,7 +239,7 @@ v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command of the last comm
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: present velocity command
 # A QP that Python has to solve
 qp_open | | | 1 | | | number 1 to 4 of the problem that Python has to solve; 0 without one
-qp_x | | 4 n | | reduced | | Python's solutions of three QPs and the hierarchy; NaN without one
+qp_x | | 4 n | | reduced | | Python's solutions of three QPs and the hierarchy; NaN if it finds none
 qp_tried | | 4 | 1 | | | 1 for each of these four problems that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP

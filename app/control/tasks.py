@@ -207,7 +207,7 @@ def add_tracking(
     """Add T_2 to the posture task (H, c): the cost ½ w ‖J_ee q̈ − b‖² with a large weight w [-].
 
     If a limit or another task nearly contradicted T_2 as a strict level, this level would demand
-    unbounded accelerations. The weighted task instead has an error of 1/w of the posture's demand.
+    unbounded accelerations. The weighted task has an error in proportion to 1/w instead.
     A remaining pose error adds the cost ½ w λ ‖q̈ + k_v q̇‖² in the metric H, where λ [m²] is the
     square of this error (`lm_damping`): the damping of Levenberg and Marquardt in the form by
     Sugihara (2011). Thus an arm at full stretch comes to rest. J (6, n) is J_ee, b (6,) the

@@ -17,7 +17,7 @@ from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 GIZMO = "/gizmo"  # scene node of the gizmo
-NUDGE = 0.02  # [m] displacement by one key press
+NUDGE = 0.02  # [m] displacement by one key press; a held key repeats it
 MOST_NUDGED = 0.15  # [m] largest distance between the end-effector and its target by keys
 SCALE = 0.26  # [m] length of the gizmo's arrows
 

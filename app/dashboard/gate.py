@@ -53,7 +53,7 @@ _POLICY = (
 )
 """Content policy: viser's page contains its scripts, evaluates code of its markdown, and connects
 only to this server."""
-_HEADERS = {  # of each answer, in addition to the policy
+_HEADERS = {  # of each answer by `Gate`, in addition to the policy
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -99,11 +99,11 @@ class RefusedError(ValueError):
 
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
-        self.message = message  # the refused message, or None if it was not decoded
+        self.message = message  # the refused message, or None if unknown
 
 
 class GarbageError(RefusedError):
-    """The connection has sent data that no page of this program sends; it is closed."""
+    """A connection has sent data that no page of this program sends, and is closed."""
 
 
 class Gate:
@@ -116,7 +116,7 @@ class Gate:
         self._largest_upload = largest_upload
         self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
-        """Returns a widget of a page, by the page's connection and the widget's name, or None."""
+        """Returns a widget of a page, by the page's connection and the widget's UUID, or None."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
         """Called with connection and error after each `RefusedError` except a `GarbageError`."""
 
@@ -208,7 +208,7 @@ class Gate:
 
 
 class _Connection(ServerConnection):
-    """A connection that answers every HTTP request; `recv` returns only allowed messages.
+    """A connection that answers HTTP/1.0 and any method; `recv` returns only allowed messages.
 
     The library `websockets` answers only GET requests of HTTP/1.1, but proxies send HTTP/1.0, and
     health checks send HEAD requests.
@@ -260,9 +260,9 @@ def is_allowed(
 
     `Host` must be an IP address, localhost or below it, the name of this machine, or one of
     `own_names`, because another website could let its own name point to this machine. `Origin`,
-    which browsers send with each websocket request, must have the same name and port as `Host`, or
-    a name in `allowed`, because a proxy can change `Host`. Other programs send no origin. A request
-    with neither header is accepted. `own_names` and `allowed` are in lower case.
+    which browsers send with each websocket request, must be absent, or have the same name and port
+    as `Host`, or have a name in `allowed`, because a proxy can change `Host`. A request with
+    neither header is accepted. `own_names` and `allowed` are in lower case.
     """
     if host is None:
         return origin is None
@@ -308,7 +308,7 @@ class Uploads:
         """Accept files up to `largest` [bytes]; `everyone` has the registers of all viewers."""
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
-        """Number of missing bytes, and indices of missing parts, by the name of the transfer."""
+        """Number of missing bytes, and indices of missing parts, by the transfer's UUID."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
         """Register a new file of `size` [bytes] in `parts` parts, or raise `RefusedError`."""
@@ -335,9 +335,9 @@ class Uploads:
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
     """Return the unchanged bytes of an allowed message; register files and parts in `uploads`.
 
-    `widget` returns a widget of the page by its name, or None. Raises `GarbageError` if the data
+    `widget` returns a widget of the page by its UUID, or None. Raises `GarbageError` if the data
     are not a message of the types `_TAKEN`. Raises `RefusedError` if the message or a value is too
-    large, if a value does not match its widget, or if a picture or an upload is not allowed.
+    large, an update is not a valid value of its widget, or a picture or an upload is not allowed.
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is not a message")
@@ -376,7 +376,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
 
 
 def is_picture(content: bytes) -> bool:
-    """Whether `content` is empty (no picture), or a still PNG of at most `_MOST_PIXELS`."""
+    """Whether `content` is empty, or has the head of a still PNG of at most `_MOST_PIXELS`."""
     head = content.partition(b"IDAT")[0]
     size = 0 if len(head) < 24 else math.prod(struct.unpack_from(">II", head, 16))
     whole = head.startswith(b"\x89PNG\r\n\x1a\n") and 0 < size <= _MOST_PIXELS

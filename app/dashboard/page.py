@@ -102,7 +102,7 @@ class Page(Viewer):
             moment = Moment(newest, shown, verdict)
             if texts and moment.live:
                 self.camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
-            # With ghosts the camera stands still, so that the motion of each robot is visible.
+            # With ghosts the camera does not follow: the motion of each robot is visible.
             self.camera.follow(shown.base_pose[:2], on=self.view.follow and not shown.ghosts)
             if texts:
                 self._renew(moment)

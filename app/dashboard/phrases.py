@@ -11,7 +11,7 @@ from app.simulation.trace.words import spoken as spoken
 from app.strict import Array
 
 AT_REST = (0.005, 0.0087)  # [m/s], [rad/s] slower motions, displayed as 0, count as rest
-SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] smaller commanded accelerations are not mentioned
+SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] smaller commanded accelerations begin no motion
 
 _SECTORS = (  # direction and place on the base, for eighths of a turn counterclockwise from forward
     ("forward", "front"),

@@ -20,7 +20,7 @@ from app.simulation.trace.words import Outcome, outcome
 from app.strict import Array, check_range
 
 HISTORY = 600.0  # [s] length of the history
-SPACING = 0.01  # [m] smallest distance between two points of a track
+SPACING = 0.01  # [m] smallest distance between two successive points of a track
 _LONGEST = 1500  # [-] largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the timeline
 _QUIET = 1.0  # [s] after a pause of this length, the same event counts as a new one
@@ -166,7 +166,7 @@ class Strip:
 
 
 def pulled(snapshot: Snapshot) -> float:
-    """Return the largest external force [N] on any point of the robot."""
+    """Return the largest force [N] of people or a held door on any point of the robot."""
     forces = [np.linalg.norm(pull.force) for pull in snapshot.pulls]
     return float(max([np.linalg.norm(snapshot.hand_force), *forces]))
 

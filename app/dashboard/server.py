@@ -32,11 +32,11 @@ from app.simulation.trace.snapshot import Snapshot
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
 _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
-UNTOUCHED = 20.0  # [s] without input before a demonstration starts
+UNTOUCHED = 20.0  # [s] time before a demonstration on a page that nobody has touched
 REST = 3.0  # [s] pause between two demonstrations
 FRAME = 1 / 30  # [s] period of drawing
-TEXTS_EVERY = 0.2  # [s] period of updates of panels, plots and labels, also at a low frame rate
-LARGEST_SHARE = 0.5  # [-] largest share of a core's time for drawing, and for building pages
+TEXTS_EVERY = 0.2  # [s] shortest period of updates of panels, plots and labels
+LARGEST_SHARE = 0.5  # [-] largest share of a core's time for drawing; the same for building pages
 
 
 class DashboardServer:
@@ -51,7 +51,7 @@ class DashboardServer:
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}  # by the numbers that viser assigns to the viewers
         self.pictures = 0  # number of frames so far
-        self.error: BaseException | None = None  # exception that ended the drawing thread, or None
+        self.error: BaseException | None = None  # exception that ended drawing, or None
         self._texts_due = self._newcomer_due = 0.0  # [s] of `time.monotonic`
         self._demonstration_due: float | None = None  # [s] of `time.monotonic`
         self._notifier = Notifier(viser_server)
@@ -98,7 +98,7 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the point that a viewer holds, after `PATIENCE` without a pull of it."""
+        """Release the point of a silent viewer if its last pull is over `PATIENCE` ago."""
         if page := self.pages.get(number):
             page.grip.release_if_still(PATIENCE)
 
@@ -134,7 +134,7 @@ class DashboardServer:
         self._demonstrate(pages, shared.loop.latest())
         for page in pages:
             try:
-                if texts or not page.view.light or self.pictures % 2 == 0:  # light: every second
+                if texts or not page.view.light or self.pictures % 2 == 0:  # light: half the rate
                     page.draw(texts=texts)
             except Exception as error:  # ends only this viewer's page
                 logger.exception("a page has ended")
@@ -234,10 +234,10 @@ def serve_dashboard(
     """Open the dashboard, and start to draw the simulation `loop`, which has published a snapshot.
 
     There is neither a password nor encryption: in a network that is not trusted, use an address
-    that only this machine can reach. Port 0 selects a free port. Browsers may use the names `host`
-    and `allowed` for the server. `clouds` has P_i of each pair of L_m, by the pair's name. A button
-    plays the `case`, if any. `parts` are loaded if they are None. `start_loop` creates the
-    simulation of another robot; if it is None, the robot cannot be changed.
+    that only this machine can reach. Port 0 selects a free port. Browsers can also use the names
+    `host` and `allowed`. `clouds` has P_i of each pair of L_m, by the pair's name. A button plays
+    the `case`, if any. `parts` are loaded if they are None. `start_loop` creates the simulation of
+    another robot; if it is None, the robot cannot be changed.
 
     Raises `ServerError` if the address cannot be bound, and `AssetError` if the robot's URDF or the
     mesh of a convex body is missing.
@@ -279,5 +279,5 @@ def check_address(host: str, port: int) -> None:
         try:
             probe.bind(address)
         except OSError as error:
-            hint = "try another --port, or 0 for a free one"
+            hint = "try another --port (0 for a free one) or another --host"
             raise ServerError(f"{failure}: {error}; {hint}") from None

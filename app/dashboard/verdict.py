@@ -14,13 +14,13 @@ State = Literal["clear", "near", "giving way", "resisting", "contact"]
 
 COLOURS: dict[State, Rgb] = {  # from the best state to the worst
     "clear": (128, 138, 150),  # a pair outside its buffer
-    "near": (235, 205, 70),  # a pair inside its buffer, without a reaction
+    "near": (235, 205, 70),  # a pair inside its buffer, without the reactions below
     "giving way": (240, 150, 40),  # a pair for which the base gives way
-    "resisting": (224, 84, 36),  # a pair that only the arm keeps apart
+    "resisting": (224, 84, 36),  # a pair that the arm keeps apart
     "contact": (226, 16, 56),  # contact or overlap
 }
 LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
-STEEP = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
+STEEP = 0.9  # [-] lost share of the force: up to 6° from vertical, base motion hardly helps
 
 
 class Verdict(NamedTuple):
@@ -54,7 +54,7 @@ def is_slow(snapshot: Snapshot) -> bool:
 
 
 def links_repel(pair: NearPair | PairReading) -> bool:
-    """Whether two links of the arm are so close that a person feels their repulsion."""
+    """Whether a pair is within the arm and so near that its repulsion, if any, can be felt."""
     return not pair.mobile and pair.beta >= 0.1
 
 

@@ -64,7 +64,7 @@ class View:
     def of_robot(self, pairs: list[str], plots: list[str]) -> "View":
         """Return the same choices for another robot, from its pairs of L_m and its plots' titles.
 
-        If borders are shown, but the other robot has none of them, its first border has the score.
+        If borders are shown, but the other robot has none of them, its first one shows the score.
         """
         borders = {pair: self.borders.get(pair, HIDDEN) for pair in pairs}
         if set(borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:

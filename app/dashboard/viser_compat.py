@@ -1,7 +1,7 @@
 """Servers of viser without output and behind a gate, messages of pages, and a watchdog.
 
-In `app`, only this module and `app.dashboard.gate` use private names of viser. If viser changes one
-of these names, `tests/test_viser_compat.py` or `tests/test_gate.py` fails.
+In `app`, only this module and `app.dashboard.gate` use viser's private names in Python. If one of
+these names changes, `tests/test_viser_compat.py` or `tests/test_gate.py` fails.
 """
 
 import asyncio
@@ -35,7 +35,7 @@ from app.dashboard.notifications import Notifier
 from app.strict import from_json
 
 logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
-_GRACE = 0.3  # [s] time of regular connections to close; then all others are broken off
+_GRACE = 0.3  # [s] time for connections to close regularly; then the others are broken off
 _ENDING = 10.0  # [s] timeout for the end of viser's thread
 LOOK = 0.5  # [s] period of checks of the connections
 SILENT = 3  # [checks] without an answer, after which a viewer counts as silent
@@ -205,7 +205,7 @@ class Channel:
         self._run(f"dbb.{word}", *values)
 
     def on(self, word: str, act: Callable[..., None], kind: Callable[[Any], Any] = finite) -> None:
-        """Call `act` with the values of each message `word` of the page, converted by `kind`."""
+        """Call `act` with the values of each valid message `word`, converted by `kind`."""
         self._acts[word] = act, kind
 
     def sight(self, name: str) -> None:

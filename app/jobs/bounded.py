@@ -2,7 +2,7 @@
 
 A child process reads data that are larger than `SMALL`. The system ends this process when its
 processor time exceeds the budget. Except on macOS, the system also refuses memory beyond the
-budget. Thus no file can exhaust the memory of a server or block its threads.
+budget. Thus no file can block a server's threads for long, or exhaust its memory (except on macOS).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Budget(NamedTuple):
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
-    `read` must be a function of a module; its arguments and its result must be picklable. Data up
+    `read`, its arguments and its result must be picklable, so `read` is no local function. Data up
     to `SMALL` have no budget; a call in the child process has no further one. If `read` exceeds the
     budget or crashes its process, this raises a BudgetError. Exceptions of `read` are raised here.
     """

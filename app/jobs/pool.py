@@ -75,8 +75,8 @@ class Workers(AbstractContextManager["Workers"]):
     ) -> Iterator[Result]:
         """Execute the jobs, and yield their results in the order of the jobs.
 
-        `function` and `jobs` must be picklable. Other processes begin at once; without them, a job
-        runs when its result is read. `on_progress` gets the finished share of all jobs, in the
+        `function`, jobs and results must be picklable. Other processes begin at once; without them,
+        a job runs when its result is read. `on_progress` gets the finished share of all jobs in the
         thread that reads the results. With `tells`, `function` has a third argument, of the type
         `OnProgress`, that it calls with the finished share of its job. If the process of a job has
         ended in each of three attempts, `lost` makes the job's result. Without `lost`, a LoopError

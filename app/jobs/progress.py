@@ -88,7 +88,7 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def ending_signals_raised() -> Iterator[None]:
-    """Raise exceptions for ending signals during the `with`, in the main thread only.
+    """Raise exceptions for ending signals with default handlers, in the main thread only.
 
     SIGINT (Ctrl-C) raises a KeyboardInterrupt; SIGTERM and SIGHUP raise a SystemExit with the
     status 128 + the signal's number. If the work then ends with a `BrowserError` instead, or with

@@ -26,7 +26,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 _PROJECT = _PACKAGE.parent
 IN_CHECKOUT = (_PROJECT / "pyproject.toml").is_file() and (_PROJECT / "robot_assets").is_dir()
 ASSETS = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "robot_assets"
-"""Folder of the robot descriptions, in a checkout or inside the installed package."""
+"""Folder of the delivered robots, in a checkout or inside the installed package."""
 SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the delivered borders; in a writable checkout also of new ones (`cache_folder`)."""
 _MAX_ELEMENTS = 30_000  # [-] largest number of elements of an XML file; large URDFs have thousands
@@ -34,7 +34,7 @@ _MAX_JOINTS = 200  # [-] largest number of moving joints of a robot; large robot
 _MAX_ATTRIBUTES = 100  # [-] largest number per element; some parsers compare each with all others
 _DEEPEST = 100  # [-] deepest nesting of elements
 _PART = 1 << 14  # [bytes] length of the two parts of a mesh file that are searched for damage
-# In the last part of an undamaged text file; in an OBJ file, no vertex follows the last face.
+# Found at the end of an undamaged text file; in an OBJ file, no vertex follows the last face.
 _ENDS = {".stl": b"endsolid", ".dae": b"collada>", ".obj": rb"[\r\n][ \t]*f\s(?!.*[\r\n][ \t]*v)"}
 _PIP = "pip install 'dbb-mobile-manipulator"
 _WITH_PYBULLET = f"it comes with pybullet: {_PIP}[sim]', on the Pythons that docs/install.md lists"
@@ -395,7 +395,7 @@ def _mesh(reference: str, folder: Path) -> Path:
 
 
 def _intact(path: Path) -> Path:
-    """The path of a mesh; a RobotFileError is raised if the file is a placeholder or damaged."""
+    """The path of a mesh; RobotFileError for a placeholder, or a damaged or unreadable file."""
     end, size = path.suffix.lower(), path.stat().st_size
     try:
         with path.open("rb") as file:

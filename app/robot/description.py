@@ -178,10 +178,10 @@ class RobotDescription(Strict):
 
 
 def register_base_kind(kind: type[BaseKind]) -> None:
-    """Register a kind of base for descriptions: a record whose `kind` is a `Literal` of one name.
+    """Register a kind of base for descriptions: a class whose `kind` is a `Literal` of one name.
 
-    Raises a DescriptionError if the `Literal` has several names, another kind has the name, or the
-    kind lacks a definition that `BaseKind` demands.
+    Raises a DescriptionError if `kind` is not such a `Literal`, another kind has the name, or the
+    class lacks a definition that `BaseKind` demands.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:

@@ -61,8 +61,8 @@ class RobotModel:
 
         Raises an AssetError if the URDF is missing, the errors of `ConvexMesh.hull`, and a
         DescriptionError if pinocchio cannot read the URDF, it lacks a joint or link, the arm's
-        joints are not in the order of the chain, one is continuous, a limit is invalid, or the
-        ready position is not within the position limits.
+        joints are not in the order of the chain, one is neither revolute nor prismatic, a limit is
+        invalid, or the ready position is not within the position limits.
         """
         self.description = description
         full = whole_model(description)

@@ -31,8 +31,8 @@ Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
 class _Placed(Strict):
     """A shape placed in the frame of its body."""
 
-    xyz_m: Vector3 = (0.0, 0.0, 0.0)  # [m] centre of the shape in the body's frame
-    rpy_rad: Vector3 = (0.0, 0.0, 0.0)  # [rad] its fixed-axis roll, pitch and yaw in this frame
+    xyz_m: Vector3 = (0.0, 0.0, 0.0)  # [m] origin of the shape's frame in the body's frame
+    rpy_rad: Vector3 = (0.0, 0.0, 0.0)  # [rad] fixed-axis roll, pitch and yaw of the shape's frame
 
     def placement(self) -> pin.SE3:
         """T_body_shape, the pose of the shape in the body's frame."""
@@ -127,7 +127,7 @@ class ConvexMesh(_Placed):
 
 
 class Hull(_Placed):
-    """The convex hull of some points around `xyz_m`."""
+    """The convex hull of some points."""
 
     type: Literal["hull"]
     vertices_m: Annotated[tuple[Vector3, ...], Field(min_length=4)]

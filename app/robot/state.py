@@ -32,7 +32,7 @@ _Vector = Array | tuple[float, float, float]
 class Measurement(NamedTuple):
     """The readings of the robot's sensors in one control step."""
 
-    base_pose: Array  #: (3,) x, y [m] and heading φ [rad] of the base's centre in the world
+    base_pose: Array  #: (3,) x, y [m] and heading φ [rad] of the base's frame in the world
     base_velocity: Array
     """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base; NaN or
     None if it is not measured."""
@@ -40,8 +40,7 @@ class Measurement(NamedTuple):
     qd_m: Array
     """(n_m,) [rad/s or m/s] the arm's joint velocities; NaN or None if they are not measured."""
     drive: Array = np.zeros(0)
-    """(n_d,) further states of the base's drive, such as a steering angle [rad]; the default is the
-    state at rest."""
+    """(n_d,) further states of the base's drive, such as a steering angle [rad]; empty: at rest."""
     now: float = np.nan
     """[s] time of this control step, by any clock that does not jump; NaN without a clock."""
     time: float = np.nan
@@ -53,7 +52,8 @@ class Measurement(NamedTuple):
 def numbers(name: str, values: Any, *sizes: int, finite: bool = False) -> Array:
     """An array of floats from a caller's values; masked values become NaN.
 
-    Raises a MeasurementError if they are not real or `finite`, or their count is not in `sizes`.
+    Raises a MeasurementError if they are not real numbers, their count is not in `sizes` or, with
+    `finite`, one of them is not finite.
     """
     try:
         found = np.asarray(np.ma.filled(values, np.nan)).astype(float, "K", "same_kind", copy=False)

@@ -34,8 +34,8 @@ def unit_of(length: float) -> str:
 
 
 def only_rpy(robot: Element) -> None:
-    """Replace `quat_xyzw` in each `<origin>`, which few libraries read, by `rpy`. A RobotFileError
-    is raised if it is not four numbers, is zero or is beside an `rpy`.
+    """Replace `quat_xyzw`, which few libraries read, by `rpy` in each `<origin>`. A RobotFileError
+    is raised if a `quat_xyzw` is not four numbers, is zero or is beside an `rpy`.
     """
     for part in (*robot.findall("link"), *robot.findall("joint")):
         for at in (each for each in part.iter("origin") if "quat_xyzw" in each.attrib):
@@ -69,8 +69,8 @@ def origin(element: Element, where: str) -> pin.SE3:
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
     """The numbers of an attribute `key`, or the default if element or attribute is missing.
 
-    Raises a RobotFileError, which begins with `where`, as `stated`, or if the attribute does not
-    have as many finite numbers as the default.
+    Raises the RobotFileError of `stated`; also one, which begins with `where`, if the attribute
+    does not have as many finite numbers as the default.
     """
     if (words := stated(element, key, where)) is None:
         return np.array(default)
@@ -81,8 +81,8 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
 
 
 def stated(element: Element | None, key: str, where: str) -> str | None:
-    """The text of an attribute, or None if it is missing. A RobotFileError, which begins with
-    `where`, is raised if it is missing and another one, maybe a misspelling, is not a URDF's.
+    """The text of an attribute, or None if it is missing. If an element of `_ATTRIBUTES` then has
+    an unknown attribute, maybe a misspelling, a RobotFileError that begins with `where` is raised.
     """
     if element is None or key in element.attrib:
         return None if element is None else element.get(key)
@@ -139,7 +139,7 @@ def mesh_bytes(links: Iterable[Element]) -> int:
 def urdf_mesh(
     shape: Element, where: str, load: Callable[[Path], trimesh.Trimesh]
 ) -> tuple[trimesh.Trimesh, float | None]:
-    """A shape's triangles [m], and its radius [m]; the radius is None for a box or a mesh.
+    """Triangles and radius [m] of an element such as `<box>`; the radius of a box or mesh is None.
 
     `load` reads the triangles of a mesh file. Raises the errors of `load` and
     `resolve_package_uri`, and a RobotFileError, which begins with `where`, if element or attributes

@@ -1,4 +1,4 @@
-"""Planned runs, and case files; with the same code and robot, a case file repeats a run exactly."""
+"""Planned runs, and case files: with the same code, robot and machine, a case repeats a run."""
 
 import json
 from functools import cache
@@ -101,7 +101,7 @@ class RunCase(Strict):
         if self.version != now:
             lines.append(f"dbb {self.version} wrote the case; this is dbb {now}")
         for path in sorted(own.keys() - known.keys()):
-            lines.append(f"the parameter {path} no longer exists; its value was {own[path]}")
+            lines.append(f"this version has no parameter {path}; its value was {own[path]}")
         for path in sorted(known.keys() - own.keys()):
             default = Config().value(path)
             lines.append(f"the case has no {path}; the default {default} is used")

@@ -17,8 +17,8 @@ from app.simulation.plants.interface import Push
 from app.strict import Array
 
 _ARM = 2  # pinocchio's index of the arm's first joint; joint 1 is the base's planar joint
-_QUICKNESS = 20.0  # [rad/s] natural frequency of the hand's motion to a new target
-_TOP_SPEED = 1.5  # [m/s] largest speed of the hand
+_QUICKNESS = 20.0  # [rad/s] natural frequency of the motion of the spring's free end
+_TOP_SPEED = 1.5  # [m/s] largest speed of this end
 _FARTHEST = 1e4  # [m] largest coordinate of a target in the world
 _LINK_SIZE = 1.0  # [m] largest distance of a held point from the origin of its link
 _GRIP = 2e4  # [N/m] stiffness of the grip between a hand with a mass and the robot
@@ -31,7 +31,7 @@ class Hold(NamedTuple):
     who: int  # number of the person
     target: Array  # (3,) [m] target of the held point, in the world
     link: str | None = None  # one of `held_links`; None is the end-effector
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in the frame of `link`, if not None
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] in the frame of `link`, if any
 
 
 class PullReading(NamedTuple):
@@ -48,7 +48,7 @@ class PersonForces(NamedTuple):
     """The forces of people on the robot in one control step."""
 
     hand: Array  # (3,) [N] sum of the forces on the end-effector's origin, in the world
-    pushes: tuple[Push, ...] = ()  # forces on other points of the arm
+    pushes: tuple[Push, ...] = ()  # forces on the held points of links
 
 
 class People:
@@ -128,7 +128,7 @@ def held_links(model: RobotModel) -> tuple[str, ...]:
 
 
 def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[int, Array]:
-    """Index of the joint that moves a link's point, and the point (3,) [m] in the joint's frame."""
+    """Index of the joint that moves a link; the link's `point` (3,) [m] in that joint's frame."""
     frame: pin.Frame = model.pin.frames[model.pin.getFrameId(link)]
     return frame.parentJoint, frame.placement.act(np.array(point, dtype=float))
 
@@ -209,7 +209,7 @@ def _pull(
     """Move the hand for one step, and write its force (3,) [N] on the held point to `force`.
     The free end p of the spring follows p̈ = ω² (target - p) - 2 ω ṗ, with limited speed. `motion`
     (4, 3), changed in place, has the rows p [m], ṗ [m/s], and the mass's x [m] and ẋ [m/s]. Before
-    the first step it is NaN; without a mass, x remains NaN. `spring` (5,) is K [N/m], D [N s/m],
+    the first step it is NaN; without a mass, x is NaN. `spring` (5,) is K [N/m], D [N s/m],
     f_max [N], the mass [kg] and the step [s].
     """
     p, v, x, x_dot = motion

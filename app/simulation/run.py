@@ -26,7 +26,7 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """A session at a setting; `robot` has no held door. Raises as `Session` and `Session.reset`."""
+    """A session at a setting; the plant has `robot`, without a door. Errors: `Session`, `reset`."""
     model, data, base_pose, q_m, config, door = setting
     check_posture(model, q_m)  # before the plant loads
     session = Session(model, data, config, controller, physics, seed, plant=robot, door=door)

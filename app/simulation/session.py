@@ -46,7 +46,7 @@ class Step(NamedTuple):
     contacts: Contacts  # contacts during the step
     duration: float  # [s] real time of the controller's computation
     truth: Measurement  # readings without sensor errors
-    state: RobotState  # true state of the robot; the next step overwrites it
+    state: RobotState  # true kinematics (M, h, g can differ); the next step overwrites it
     distances: Array  # (n_p,) [m] true signed distances of all link pairs
     buffer: BufferReading  # whether d_b is sufficient for the arm's approach speed
     door: DoorView | None = None  # the door that the end-effector holds, or None
@@ -57,7 +57,7 @@ class Step(NamedTuple):
 
     @property
     def people(self) -> int:
-        """Number of people who hold the robot."""
+        """Number of people in `pulls`."""
         return len(self.pulls)
 
     @property
@@ -96,10 +96,10 @@ class Session:
         door: OpenDoor | None = None,
     ) -> None:
         """Start at rest in the ready posture, with the base at the origin.
-        `model` is the robot of the controller, and by default also of the plant. `physics` names
-        the plant, by default `default_plant`. The end-effector holds any `door`; then `model` has
-        the door as its last body, and `plant` must be the robot without this body. `seed` fixes all
-        random numbers. Raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
+        `model` is the robot of the controller, `plant` that in the plant, by default `model`.
+        `physics` names the plant, by default `default_plant`. The end-effector holds any `door`; it
+        is then the last body of `model`, and no body of `plant`. `seed` fixes all random numbers.
+        Raises the errors of `ControlLoop`, `make_physics` and `check_avoidance`.
         """
         check_avoidance(model, data)
         self.model, self.data, self.config = model, data, config
@@ -108,7 +108,7 @@ class Session:
         self.loop = ControlLoop(model, data, config, name=controller, dt=self._stated)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
-        self._own_state = RobotState(model)  # the true state, used if the readings are disturbed
+        self._own_state = RobotState(model)  # true kinematics, if the readings are disturbed
         self._distances = DistanceMonitor(self._own_state, data.pairs.all)
         self._watch = BufferWatch(config)
         self.controller.state.scale_arm_inertias(1.0 + config.disturbance.mass_error)
@@ -139,13 +139,13 @@ class Session:
         self._people = People(self.model, self.config.hand, DT)
         self._wheel_angles = [0.0] * len(self._base.wheels)
         self.controller.state.update(self.physics.measure())
-        self.state = self.controller.state  # the true state of the robot at the last step
+        self.state = self.controller.state  # true kinematics of the robot at the last step
         self._watch.reset()
         self._loads: dict[tuple[str, float, Vector3, float], PointLoad] = {}
         self._loads = self._loads_of(self.config)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on; `disturbance.stated_period` does not change.
+        """Use other parameters from the next step on, except a new `disturbance.stated_period`.
         If the control period is too long for a gain, this raises a ConfigError before any change.
         """
         self.loop.configure(config)
@@ -167,7 +167,7 @@ class Session:
 
     @property
     def wheel_angles(self) -> Array:
-        """(n_w,) [rad] angles of the base's wheels."""
+        """(n_w,) [rad] angles of the base's wheels, from its motion as if they did not slip."""
         return np.array(self._wheel_angles)
 
     def step(
@@ -233,7 +233,7 @@ class Session:
     def _observe(
         self, truth: Measurement, measurement: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
-        """Update `state` to the true state; return it and the distances (n_p,) [m] of all pairs."""
+        """Update `state` to the true kinematics; return it and the pairs' distances (n_p,) [m]."""
         if measurement is truth:  # so the controller has computed both
             self.state = self.controller.state
             return self.state, control.d[: len(control.pairs)].copy()

@@ -28,7 +28,7 @@ _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
 _UNKNOWN = ("duration_us", "force_bound_n", "buffer_needed_m", "buffer_needed_max_m")
 """Columns that can have NaN or infinite values in a complete log, besides the optional ones."""
-_LISTED = 5  # [-] largest number of listed columns
+_LISTED = 5  # [-] largest number of columns with missing values that the report names
 
 
 def run_report(run: Trace, on_progress: OnProgress = lambda _: None) -> str:
@@ -92,7 +92,7 @@ def _without_infinite(run: Trace) -> Trace:
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """Path, default and value of each parameter that a configuration changes from its default.
+    """Path, program's default and value of each parameter that any configuration changes.
 
     If the configurations have different values, a list of these values replaces the value.
     """
@@ -136,8 +136,8 @@ def distances_figure(run: Trace) -> Figure:
 
 @style.picture("base", "Accelerations and velocities of the base")
 def base_figure(run: Trace) -> Figure:
-    """Above: commanded acceleration of the base, and desired acceleration of the avoidance. Below:
-    commanded and true velocity of the base.
+    """Above: commanded acceleration of the base, and desired acceleration of the avoidance times
+    its activation. Below: commanded and true velocity of the base.
     """
     acceleration, avoidance = run.of("base_acceleration"), run.of("avoidance_acceleration")
     command, velocity = run.of("base_velocity_command"), run.of("base_velocity")
@@ -160,8 +160,8 @@ def base_figure(run: Trace) -> Figure:
 
 @style.picture("end_effector", "The end-effector")
 def end_effector_figure(run: Trace) -> Figure:
-    """Above: distance of the end-effector from the person's target, or from the reference if no
-    person pulls. Below: force of people on the end-effector, or of the end-effector on a door.
+    """Above: distance of the end-effector from a person's target, else from its reference, else 0.
+    Below: force of people on the end-effector, or of the end-effector on a door.
     """
     figure, (error, force) = style.new_panels(4.6, 2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.EE)
@@ -214,7 +214,7 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Limit x axes to the run's times, shade contacts; name the x axis of `bottom`, or the last."""
+    """Limit x to the run's times, shade the arm's contacts, name x of `bottom` or the last axes."""
     touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
     for ax in axes:
         if run.t[-1] > run.t[0]:

@@ -14,7 +14,7 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from app.simulation.run import RunResult
 
-Row = dict[str, Any]  # finite numbers, texts, booleans and None, by the name of the column
+Row = dict[str, Any]  # the cells of a row of a table by column, or other results by key
 
 
 def thinned(result: RunResult) -> RunResult:
@@ -23,7 +23,7 @@ def thinned(result: RunResult) -> RunResult:
 
 
 def flattened(results: Mapping[str, Any]) -> Row:
-    """Results with one key for each number: the number `a` of `jump` has the key `jump_a`.
+    """The results, with a key for each entry of a mapping: `a` of `jump` has the key `jump_a`.
 
     An ending `_m` or `_s` stays at the end: `a` of `distance_m` has the key `distance_a_m`.
     """
@@ -39,8 +39,8 @@ def flattened(results: Mapping[str, Any]) -> Row:
 
 def rounded(value: object) -> object:
     """A float rounded to nine decimals; other values do not change."""
-    # The last digits of the QP solver's solutions depend on memory addresses, so without rounding
-    # the results would depend on the number of processes.
+    # The last digits can depend on memory addresses, as those of sums by BLAS do, and therefore on
+    # the number of processes.
     return round(value, 9) if isinstance(value, float) else value
 
 

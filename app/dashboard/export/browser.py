@@ -25,7 +25,7 @@ _APPLICATIONS = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
 )
-# Mesa draws two to three times faster in software than Chromium's own SwiftShader.
+# Mesa draws faster in software than Chromium's own SwiftShader.
 _EGL = "--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist", "--disable-gpu-compositing"
 _SWIFTSHADER = "--use-angle=swiftshader", "--enable-unsafe-swiftshader"
 _QUIET = "--disable-background-networking", "--disable-component-update", "--disable-sync"

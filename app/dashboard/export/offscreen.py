@@ -108,7 +108,7 @@ class RecordedLoop(LoopHandle):
 
 
 class OffscreenScene:
-    """All layers of the dashboard's scene, drawn from recorded snapshots."""
+    """The dashboard's scene with its default layers, drawn from recorded snapshots."""
 
     def __init__(
         self,
@@ -187,7 +187,7 @@ def replay_html(
     *,
     on_progress: OnProgress = lambda _: None,
 ) -> str:
-    """Return a run as one HTML file that any browser plays without a server or a network.
+    """Return a run as one HTML file that a browser plays without a server or a network.
 
     The file shows the dashboard's scene, with a bar for the time. After each drawn second of the
     run, `on_progress` gets the drawn share of the run. Raises `AssetError` as `RobotParts`.
@@ -394,7 +394,7 @@ def write_film(
 
 
 def write_film_of(report: Report, trace: Trace, film: Path, look: Look) -> None:
-    """Write a film of a trace at true speed, with `RATE` and the default codec of its suffix."""
+    """Write a film of a trace at true speed, with `RATE` and the default codec of the suffix."""
     report("starting a browser", 0.0)
     with chromium() as browser:  # first, because all later work needs it
         model, data = loaded(trace.meta.robot, progress=False)

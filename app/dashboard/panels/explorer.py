@@ -27,8 +27,8 @@ class ExplorerPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         self.posture: Posture | None = None  # on the page; None while no slider is in use
-        self._target: Array | None = None  # (3,) [m] new position of the end-effector, by the gizmo
-        self._error = 0.0  # [m] distance of the end-effector from the last such position
+        self._target: Array | None = None  # (3,) [m] new target of the end-effector
+        self._error = 0.0  # [m] distance of the end-effector from the last target
         self._paused = False  # whether the pause has taken effect
         self._since = viewer.shared.loop.latest()  # newest snapshot when posing began
         self._lock = RLock()  # a callback can change the posture while the page is drawn

@@ -29,8 +29,8 @@ axis; behind this axis S is negative. When the arm is closer to the base than d_
 2. A virtual force acts on the base at p_act. The force is larger for smaller distances. It pushes
    the base away from the arm, and turns the base so that the base can move away better.
 3. A quadratic program gives avoidance priority over the end-effector's task. The activation β
-   rises from 0 at d_b to 1 at d_full, so that no command jumps. The arm gets torques at 1 kHz,
-   the base gets velocities, by default at 10 Hz.
+   rises from 0 at d_b to 1 at d_full, so that avoidance begins smoothly. The arm gets torques at
+   1 kHz, the base gets velocities, by default at 10 Hz.
 
 **Tabs.** *Why* explains the current motion. *Plots* shows the last 20 s. *Compare* runs other
 controllers on the same pull. *Key* explains colours and arrows. *Run* has the scenarios. *Lab* has
@@ -98,7 +98,7 @@ CARDS = {  # by the guide's state
     ),
     "tour 3": Card(
         "3 of 5: Read why",
-        "The panel Why explains the base's motion. Key explains each colour and arrow.",
+        "The panel Why explains the base's motion. Key explains colours and arrows.",
         _STEP,
         "Why",
     ),

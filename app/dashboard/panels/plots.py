@@ -25,7 +25,7 @@ OFF = -9.0  # value of `_INSTANT` at all other instants, beyond its scale from 0
 
 
 class Plots(Panel):
-    """Plots of one viewer, who may add any numeric column of a log; hidden plots are not drawn."""
+    """Plots of one viewer, who may add curves of `plans.quantities`; hidden plots are not drawn."""
 
     def __init__(self, viewer: Viewer, tab: viser.GuiTabHandle) -> None:
         super().__init__(viewer)

@@ -50,8 +50,8 @@ class SavePanel(Panel):
                 self._file(label, icon, partial(self._of_interval, name, write), hint=hint)
             self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
             self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
-            hint = f"{RATE:g} pictures per second, in the size above. Each takes about 0.25 s"
-            hint += " to draw: mark a short interval."
+            hint = f"{RATE:g} pictures per second, in the size above. Drawing usually takes"
+            hint += " longer than the run: mark a short interval."
             self._file("Film", viser.Icon.VIDEO, self._film, hint=hint)
         with gui.add_folder("Last scenario"):
             hint = "The last scenario with its parameters, for dbb serve --case FILE"

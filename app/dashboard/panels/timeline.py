@@ -57,5 +57,5 @@ class TimelinePanel(Panel):
 
     def _jump(self, to: Snapshot | None) -> None:
         if to is None:
-            raise LogError("no such moment has been recorded yet")
+            raise LogError("no such instant has been recorded yet")
         self._timeline.show(to)

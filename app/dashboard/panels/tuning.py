@@ -46,7 +46,7 @@ class TuningPanel(Panel):
         with self._gui.add_folder("File"):
             hint = "Name of the file, without .toml"
             self._name = self._gui.add_text("Name", FIRST_NAME, hint=hint)
-            hint = "A TOML file for the option --config of dbb run, serve and sweep"
+            hint = "A TOML file for the option --config, for example of dbb run"
             self.button("Save", self._save, viser.Icon.DOWNLOAD, hint=hint)
             hint = "A TOML file; parameters that are not in the file get their defaults"
             self.upload("Load", self._load, color="gray", mime_type=".toml", hint=hint)

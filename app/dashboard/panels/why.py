@@ -58,7 +58,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     rows = (
         _row("Force on the base", "sum of the forces (14) at the acting points", force),
         _row("Base motion", "true velocity of the base", words.speeds(snapshot.base_velocity)),
-        _row("Limited by", "limits that are active in this control step", limit + _more(bounds)),
+        _row("Limited by", "active limits while a pair is in its buffer", limit + _more(bounds)),
     )
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
@@ -86,7 +86,7 @@ def details_html(snapshot: Snapshot) -> str:
         bounds = [*bounds[: BOUNDS_SHOWN - 1], f"and {len(bounds) - BOUNDS_SHOWN + 1} more"]
     bounds += ["&nbsp;"] * (BOUNDS_SHOWN - len(bounds))
     tables = (
-        _table("Nearest active pair", near)
+        _table("Link pair", near)
         + _table("Force on the base", _force_rows(why), why.axes)
         + _table("Acting point p_act", _score_rows(why))
         + _table("Task error, by priority", _level_rows(why.levels))

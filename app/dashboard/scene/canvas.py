@@ -144,7 +144,7 @@ class Canvas:
         """Draw straight segments between their ends (N, 2, 3) [m]; `pixels` is the width.
 
         Colours are uint8: (3,) in sRGB for all segments, or (N, 2, 3) in linear colours. All
-        calls with one `name` need the same shape: viser can draw a node in white after a change.
+        calls with one `name` need colours of one shape: otherwise viser can draw white lines.
         """
         look = {"thickness": pixels, "thickness_units": "screen"}
         node = self._node(name, self._scene.add_line_segments, ends, colours, **look)

@@ -7,7 +7,7 @@ from app.strict import Array
 
 Rgb = tuple[int, int, int]
 
-BRAND: Rgb = (24, 104, 176)  # of buttons, whose text is white: the contrast is 5.9 to 1
+BRAND: Rgb = (24, 104, 176)  # of buttons, whose text is white: the contrast is 5.8 to 1
 BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}  # True: a dark page
 VIRIDIS = "440154 482475 414487 355f8d 2a788e 21918c 22a884 44bf70 7ad151 bddf26 fde725"
 """Evenly spaced colours of matplotlib's public-domain map "viridis", low to high."""

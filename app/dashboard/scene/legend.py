@@ -69,9 +69,9 @@ def key_html(d_b: float) -> str:
     force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
     states: dict[State, str] = {
         "clear": "closest points of a pair outside its buffer",
-        "near": f"inside the buffer d<sub>b</sub> = {d_b:.3f} m, no reaction",
+        "near": f"inside the buffer d<sub>b</sub> = {d_b:.3f} m, none of the states below",
         "giving way": "the base gives way",
-        "resisting": "the arm keeps the distance itself",
+        "resisting": "the arm keeps the distance",
         "contact": "contact or overlap",
     }
     acting = _signs("●", colours.ACTING) + _signs("→", colours.ACTING)

@@ -22,7 +22,7 @@ _TRAILS = {"base": TRAIL_BASE, "end-effector": TRAIL_EE}
 
 
 class RobotScene:
-    """A robot in a scene: its meshes are sent once, below frames that move."""
+    """A robot in a scene: frames move, and meshes below them are sent at first and by `dress`."""
 
     def __init__(
         self, scene: viser.SceneApi, parts: RobotParts, ghost: int | None = None, *, light: bool
@@ -44,7 +44,7 @@ class RobotScene:
         self.show(meshes=True, bodies=False)
 
     def dress(self, *, light: bool) -> None:
-        """Replace `links` by meshes with few faces (`light`) or by the full meshes."""
+        """Replace `links` by meshes with few faces (`light`) or by the usual meshes."""
         for _, handle in self.links:
             handle.remove()
         opacity = None if self._ghost is None else 0.30

@@ -48,9 +48,9 @@ _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
 class LinkShape(NamedTuple):
     """One shape of a link."""
 
-    mesh: trimesh.Trimesh  # in the link's frame [m]; about `MOST_FACES` triangles or fewer
+    mesh: trimesh.Trimesh  # in the link's frame [m]; each part has up to about `MOST_FACES` faces
     hull: trimesh.Trimesh  # convex hull of the shape, in the link's frame [m]
-    kind: str  # tag of the geometry; "piece" after `in_pieces`
+    kind: str  # tag of the geometry; "piece" for a mesh after `in_pieces`
     radius: float | None  # [m] radius of a cylinder, sphere or capsule; None for other shapes
 
 
@@ -203,7 +203,7 @@ def _damage(error: Exception, begin: bytes, size: int, end: str) -> str:
 
 
 def _states_unit(path: Path) -> bool:
-    """Whether a COLLADA file is damaged, is not in metres, or has x or y upwards. A RobotFileError
+    """Whether a COLLADA file is damaged, not in metres, or states x or y upwards. A RobotFileError
     is raised if the file states a unit that is not a number above zero.
     """
     try:
@@ -348,7 +348,7 @@ def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
 
 
 def _stated(link: Element) -> pin.Inertia | None:
-    """The inertia that the URDF states, in the link's frame, or None; refuses a negative one."""
+    """A link's stated inertia in its frame, with valid moments, or None; refuses a negative one."""
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None

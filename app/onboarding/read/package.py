@@ -43,7 +43,7 @@ _UNREADABLE = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSE
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write URDFs, meshes and licences of a zip to a folder; return the sorted paths of its URDFs.
+    """Write the `KEPT` files and licences of a zip to a folder; return the sorted paths of URDFs.
 
     Hidden files and those in `__MACOSX` are not among these paths. A RobotFileError is raised if
     the zip cannot be read, is too large or has no URDF; or if an entry is a link, has a password or

@@ -123,9 +123,9 @@ def _some(names: Iterable[str]) -> str:
 
 
 def make_tree(robot: Element) -> Tree:
-    """Read links and joints of a URDF; each visual in `robot` keeps only its colour as a material.
-    A RobotFileError is raised if a name is empty or not unique, a joint has an unknown type or a
-    missing link, the links are not a tree, or a number is invalid.
+    """Read links and joints of a URDF; in `robot`, a colour replaces each visual's material. A
+    RobotFileError is raised if there is no link, a name is empty or not unique, a joint has an
+    unknown type or a missing link, the links are not a tree, or a number or an axis is invalid.
     """
     for tag in ("link", "joint"):
         for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():

@@ -299,7 +299,7 @@ def _find_steering(request: Request, base: _Base, T_base_floor: pin.SE3) -> Stee
     if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
         why = f"{len(places)} steered wheels found on {arm.base!r}"
         helps = "set --wheelbase, the distance from the rear to the front axle"
-        raise RobotFileError(f"--wheelbase: {why}, but two on one axle are required; {helps}")
+        raise RobotFileError(f"--wheelbase: {why}, but one steered axle is required; {helps}")
     if not request.wheelbase and np.mean(places) <= 0:
         why = "--wheels: the steered wheels are behind the driven ones"
         raise RobotFileError(f"{why}; set --wheels LEFT RIGHT")

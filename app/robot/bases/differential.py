@@ -40,8 +40,8 @@ class DifferentialBase(TurningBase):
     kind: Literal["differential"]
     wheel_radius_m: Positive  # [m] r of (6)
     half_track_m: Positive  # [m] b of (6), distance between a wheel and the base's centre
-    left_wheel_joints: tuple[str, ...]  # joints of the URDF; for drawing only
-    right_wheel_joints: tuple[str, ...]  # joints of the URDF; for drawing only
+    left_wheel_joints: tuple[str, ...]  # joints of the URDF, for drawing and `mujoco-contact`
+    right_wheel_joints: tuple[str, ...]  # joints of the URDF, for drawing and `mujoco-contact`
 
     @property
     def J_m(self) -> Array:

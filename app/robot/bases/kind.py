@@ -1,4 +1,4 @@
-"""The interface of a kind of mobile base: all data of a base that the method uses.
+"""The interface of a kind of mobile base: all data of a base that the method uses, except shapes.
 
 A base has velocity axes ν (n_b,). `T` maps ν to the base's twist (v_x, v_y, ω_z) in the base's
 frame: origin on the floor, x forward. `J_m` maps the reduced velocities q̇_b (n_b,), such as the
@@ -79,10 +79,10 @@ class Channel(NamedTuple):
 
 
 class Wheels(NamedTuple):
-    """Wheels that turn by the same angle; for drawing only."""
+    """Wheels that turn by the same angle, for drawings and logs."""
 
     name: str
-    field: str  # field of the base's record with the names of the joints
+    field: str  # name of the base's field with the names of the joints
     joints: tuple[str, ...]  # names of the joints in the URDF
 
 
@@ -197,7 +197,7 @@ class BaseKind(Sourced, ABC):
         return wanted
 
     def drive_at_rest(self) -> Array:
-        """(n_d,) states of the drive besides its velocity, such as a steering angle, at a reset."""
+        """(n_d,) states of the drive at rest, besides its velocity, such as a steering angle."""
         return np.zeros(0)
 
     def follower(self, dt: float) -> Follower:

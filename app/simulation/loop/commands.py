@@ -56,7 +56,7 @@ class Pull(Command):
 
 @dataclass(frozen=True)
 class Release(Command):
-    """A person releases the robot; a scenario continues."""
+    """A person releases the robot; this neither ends nor continues a scenario."""
 
     who: int  # number of the person
 
@@ -145,7 +145,7 @@ class Compare(Command):
 
     def __post_init__(self) -> None:
         if len(self.controllers) > MAX_GHOSTS:
-            raise ConfigError(f"a comparison has at most {MAX_GHOSTS} controllers")
+            raise ConfigError(f"a comparison has at most {MAX_GHOSTS} compared robots")
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         check_name("comparison", self.same, SAMES)

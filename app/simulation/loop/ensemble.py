@@ -22,8 +22,8 @@ from app.simulation.trace.metrics import largest
 from app.simulation.trace.snapshot import GhostReading, Score
 from app.strict import Array
 
-_SAID = 1.0  # [s] time for which snapshots contain a new case
-MAX_PULLS = 8  # largest number of people who hold the robot at the same time
+_SAID = 1.0  # [s] simulated time for which snapshots contain a new case
+MAX_PULLS = 8  # largest number of people who hold the robot at the same time, without a scenario's
 
 
 class Ensemble:
@@ -37,7 +37,7 @@ class Ensemble:
         self._led = Runner(free, None)
         self.scenario: Scenario | None = None  # of the last start; None without one
         self.ends: float | None = None  # [s] end of the present scenario; None in free motion
-        self.ghosts: list[Runner] = []  # compared robots: equal input, other controllers
+        self.ghosts: list[Runner] = []  # compared robots: equal input, own controllers
         self.comparison = Compare()  # the last `Compare` that started or ended a comparison
         self._holds: dict[int, Hold] = {}
         self._case: RunCase | None = None  # of the scenario of the last start
@@ -52,7 +52,7 @@ class Ensemble:
 
     @property
     def leading(self) -> str:
-        """Name of the scenario that moves the end-effector now; empty during free motion."""
+        """Name of the present scenario; empty during free motion."""
         return "" if self.scenario is None or self.ends is None else self.scenario.name
 
     @property
@@ -96,9 +96,9 @@ class Ensemble:
 
     def compare(self, comparison: Compare) -> None:
         """Start a comparison with the named controllers; if none is named, end the comparison.
-        If a scenario moves the robot, or the end-effector still holds the door of a scenario, all
-        robots play this scenario from its start. Otherwise they start at rest where the main robot
-        is now. If they cannot start, this raises a DbbError before any change.
+        During a scenario, or while the end-effector still holds the door of one, all robots play
+        this scenario from its start. Otherwise they start at rest with the present base pose and
+        posture of the main robot. If they cannot start, this raises a DbbError before any change.
         """
         if not comparison.controllers:
             self.comparison = comparison

@@ -47,7 +47,7 @@ class LoopHandle:
             raise LoopError(f"the simulation could not start: {self.error}") from self.error
 
     def stop(self) -> None:
-        """End the loop, and release the plant; further calls have no effect."""
+        """End the loop, and release the plant; a second `stop` has no effect."""
 
     @property
     def silence(self) -> float:

@@ -32,7 +32,7 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 
 
 def loop_child() -> Child:
-    """Start a process that waits for a session to simulate; its imports take one or two seconds.
+    """Start a process that imports the simulation, and then waits for a session to simulate.
     It receives `make_session` and `q_start` of `ProcessLoop`, then commands. It sends an `Outcome`
     with `LoopHandle.links` after the start, then snapshots, None as a heartbeat, and at last the
     `Outcome` of a failure.

@@ -135,7 +135,7 @@ class BulletWorld:
         if self_collision:
             flags |= pybullet.URDF_USE_SELF_COLLISION
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        # The system removes a file without a name at the end of this process.
+        # The system removes a file without a name, also if this process is killed.
         with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # hides warnings
             file.write(urdf.encode())
             file.seek(0)
@@ -345,7 +345,7 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links on fixed joints into their parents if possible: pybullet loads at most 128."""
+    """Merge suitable links on fixed joints into their parents: pybullet loads at most 128 links."""
     nested = description.nested
     touched = {
         link: (body.name, {pair - {link} for pair in nested if link in pair})
@@ -356,7 +356,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
         parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
-        # Merge if both can touch the same parts, or the child has no shape; never the end-effector.
+        # Suitable: both can touch the same parts, or the child has no shape; not the end-effector.
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue

@@ -20,7 +20,7 @@ from app.robot.shapes import convex_hull
 from app.robot.urdf import mesh_bytes
 from app.strict import Array
 
-FLOOR = "/floor"  # name of the floor as a part; no link or body can have this name
+FLOOR = "/floor"  # name of the floor as a part; no body and no usual link has this name
 
 ContactPairs = dict[tuple[str, str], str]
 """The field of `Contacts` for each pair of parts, by the names of bodies or links. In pairs of
@@ -98,7 +98,7 @@ def geometry_with_floor(
 
 @kept_per_model(1)
 def collision_shapes(model: RobotModel) -> CollisionShapes:
-    """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed; the
+    """The collision shapes of a robot's links, or its convex bodies if a mesh is missing; the
     result is cached. A RobotFileError is raised if a mesh is damaged, or if the meshes of a user's
     own robot exceed the limits of `within_budget`.
     """

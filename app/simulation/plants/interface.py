@@ -81,8 +81,8 @@ class Physics(ABC):
     ) -> None:
         """Advance by `dt` with constant torques `u_a` (n_m,) [N m or N] of the arm. The drive
         follows the command `base_velocity` (n_b,) [m/s or rad/s] with the description's time
-        constant and limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin;
-        the `pushes` act on other points of the arm.
+        constant and limits. `hand_force` (3,) [N], in the world, acts on the end-effector's origin,
+        each of the `pushes` on its own point of the arm.
         """
 
     @abstractmethod
@@ -134,7 +134,7 @@ class Drive:
 
     def reset(self) -> None:
         self.velocity = [0.0] * self._base.n_b  # (n_b,) [m/s or rad/s] along the base's axes
-        self.state = self._base.drive_at_rest()  # (n_d,) more states, as a steering angle [rad]
+        self.state = self._base.drive_at_rest()  # (n_d,) other states, such as steering [rad]
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
         """Execute one step with the command (n_b,) [m/s or rad/s], and return the new velocity."""

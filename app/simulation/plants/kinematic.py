@@ -22,7 +22,7 @@ from app.strict import Array
 
 
 class Kinematic(Physics):
-    """The plant `kinematic`, which uses only pinocchio."""
+    """The plant `kinematic`, which uses pinocchio and coal."""
 
     door = None
 

@@ -34,7 +34,7 @@ _SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # directions of
 
 
 class Planar(Physics):
-    """The plant whose base cannot tip; motors of limited force move its joints x, y and yaw."""
+    """A plant whose base cannot tip; motors of limited force move its joints x, y and yaw."""
 
     def __init__(
         self,

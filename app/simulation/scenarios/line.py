@@ -1,4 +1,4 @@
-"""Scenarios on a straight line: a person pulls the end-effector along it, or it tracks the line."""
+"""Scenarios on a straight line: a person pulls the end-effector, or it tracks the line."""
 
 from __future__ import annotations
 

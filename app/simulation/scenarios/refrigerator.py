@@ -65,7 +65,7 @@ class RefrigeratorScenario(Scenario):
     """[deg/s] desired rotation rate of the door."""
     base: tuple[float, float, float] | None = None
     """[m] [m] [deg] x, y and heading of the base at the start; default: in front of the door, at a
-    distance such that all doors up to 0.6 m wide meet the base at the same opening angle."""
+    distance such that doors up to 0.6 m wide meet the paper's base, at rest, at the same angle."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -204,7 +204,7 @@ class PostureSearch:
 
 class StartSolver(PostureSearch):
     """Finds a posture of the arm for an end-effector position; the base at the origin faces +x.
-    The end-effector points away from the arm's mount and, without a path, downwards if possible. If
+    The end-effector points away from the arm's mount and, without a path, preferably downwards. If
     no such posture exists or follows the whole path, an arm that cannot point everywhere may use
     any direction. Every pair is outside its buffer, the arm is above the floor, and each joint is
     away from its position limits.

@@ -41,10 +41,10 @@ class WayOutScenario(Scenario):
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """A random posture, with the base at the origin; equal seeds give equal postures.
-        A case is drawn first, because some cases are rare among random postures: a pair and, for a
-        pair of arm and base, whether the arm is above the base or beside it. Random postures are
-        tried until one belongs to the case; if all fail, another case is drawn. If all cases fail,
-        this raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
+        A pair is drawn first, because the bodies of some pairs are rarely near each other. For a
+        pair of arm and base, it is also drawn whether the arm is above the base or beside it. Then
+        random postures are tried until one fits; if all fail, there is another draw. If all draws
+        fail, this raises an UnreachableError; without pairs of L_m, it raises a DescriptionError.
         """
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.start import PostureSearch

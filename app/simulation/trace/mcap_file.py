@@ -63,7 +63,7 @@ _ROS = _STORE.types  # constructors of messages by their types
 
 
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
-    """Write a trace that has snapshots; the file is complete, or there is no file.
+    """Write a trace that has snapshots, completely or not at all.
 
     With `ros`, the file has only the topics `/robot_description`, `/joint_states` and `/tf`. If the
     file cannot be written, this raises an OutputError; if the robot's URDF is missing or invalid,
@@ -106,7 +106,7 @@ def _put_joints(log: Context, topic: str, t: float, names: list[str], *values: A
 
 def _put_motion(log: Context, trace: Trace, model: RobotModel) -> None:
     """Write the URDF, the states of arm joints and wheels, and the poses of all links and of the
-    end-effector's frame in their parent links. Unknown speeds and torques of wheels are NaN.
+    end-effector's frame in their parent links. Speeds and torques of wheels are unknown: NaN.
     """
     whole, urdf = whole_model(model.description), shown_urdf(model.description)
     _put(log, "/robot_description", trace.snapshots[0].t, _ROS["std_msgs/msg/String"](urdf))

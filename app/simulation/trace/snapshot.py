@@ -267,7 +267,7 @@ class Snapshot:
     avoidance_acceleration: Annotated[
         Array, number("avoidance_{acceleration}", "control.base_avoidance")
     ]
-    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), Figure 15; 0 without avoidance."""
+    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), Figure 15; 0 without rows of the base."""
     wheel_angles: Annotated[Array, drawn("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] angles of the base's wheels, for drawing."""
     q_m: Annotated[Array, number("q_{joint}_{position}", "truth.q_m")]
@@ -303,9 +303,9 @@ class Snapshot:
     solver_failures: Annotated[int, number("solver_failures", "control.failures", "int")]
     """Number of steps with the fallback command since the last reset."""
     step_time_us: Annotated[float, drawn("step_time_us")]
-    """[µs] mean real time of a control step in the last simulated second; NaN without a clock."""
+    """[µs] mean time of the controller in a step, over 1 s simulated; NaN without a `Pacer`."""
     realtime_factor: Annotated[float, drawn("realtime_factor")]
-    """[-] ratio of simulated to real time in the last second; NaN in a run without a clock."""
+    """[-] ratio of simulated to real time in the last second; NaN without a `Pacer`."""
     overruns: Annotated[int, drawn("overruns", kind="int")]
     """Number of control steps since the last reset that exceeded their period or began after it."""
     paused: Annotated[bool, drawn("paused", kind="bool")]
@@ -333,7 +333,7 @@ class Snapshot:
     same: Annotated[str, drawn("ghosts_have_the_same", kind="text")] = ""
     """The common input of this robot and the ghosts, "path" or "force"; empty without ghosts."""
     scenario: Annotated[str, drawn("scenario", kind="text")] = ""
-    """Name of the scenario that moves the end-effector; empty during free motion."""
+    """Name of the present scenario; empty during free motion."""
     scenario_ends: Annotated[float | None, drawn("scenario_ends_s", optional=True)] = None
     """[s] simulated time at which the scenario ends; None during free motion."""
     door: Annotated[DoorView | None, _door()] = None

@@ -16,7 +16,7 @@ METHOD_WORDS = {
 """Description of each controller, by its name."""
 
 _FROM_OUTSIDE = ("end-effector", "forearm", "upper arm", "shoulder")
-_NOTHING = 5e-7  # [-] numbers below this one count as rounding errors
+_NOTHING = 5e-7  # [-] smaller magnitudes count as rounding errors
 
 
 def body(name: str, chain: Sequence[str]) -> str:

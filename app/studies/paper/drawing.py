@@ -24,7 +24,7 @@ from app.studies.runs import write_table
 from app.system import write_whole
 
 Table = dict[str, Array]
-"""The data of a figure: columns of equal length, whose names end in the unit."""
+"""The data of a figure: columns of equal length, whose names end in the unit, if any."""
 _COLUMNS = 4  # [-] number of snapshots in a row
 _PIXELS = 460, 420  # width and height of a snapshot
 _TALL = 1.35  # [m] height of the visible part of objects; higher parts may be outside the picture
@@ -37,7 +37,7 @@ class Drawing(NamedTuple):
     figure: Figure
     tables: dict[str, Table]  # the plotted data, by the suffix of the CSV file's name or ""
     measured: Mapping[str, Any]
-    """Measured numbers by key, or one such mapping for each case; keys end in the unit."""
+    """Results by key, and mappings of such results by the name of a run, pair or border."""
     remarks: Sequence[str] = ()
 
     def write(self, folder: Path, name: str, title: str) -> list[Path]:
@@ -117,7 +117,7 @@ class Strip(NamedTuple):
     times: Sequence[float]  # [s] times of the snapshots
     view: tuple[float, float]  # [rad] yaw and pitch of the camera
     aim: Array | None = None  # (2, 3) [m] ends of the end-effector's desired path, in the world
-    solids: Callable[[int], Sequence[Solid]] = lambda _: ()  # more objects in a row of the run
+    solids: Callable[[int], Sequence[Solid]] = lambda _: ()  # further objects, at a row of `run`
     marks: Array | None = None  # (N, 3) [m] a line on the floor, such as a door's arc
 
     def paths(self, *columns: str) -> Table:

@@ -23,7 +23,7 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
 
 TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4})
-"""Parameters with which the step size α is always 0.4 m, the largest valid bound."""
+"""Parameters with which the step size α is always 0.4 m, the largest valid `alpha_max`."""
 _ZOOM = 0.30  # [m] smallest side of the square around the points of Algorithm 3
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 _SHOWN = 12_000  # [-] largest number of points in a picture; more points would hide each other
@@ -225,7 +225,7 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in row k of a run, on the border's surface; by default with `sources.config`."""
+    """The force in row k of a run, on the surface; by default with `sources.config.force`."""
     run = sources.runs[experiment].trace
     q_m = run.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])

@@ -46,9 +46,9 @@ _NOT_STORED = {
     *TIMES,
 }
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
-"""Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
-more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
-of the angle from the base's heading, on both sides."""
+"""Parts of the sphere of directions from the base to the end-effector, with equal probabilities if
+the arm reaches all. "above" is more than 45° above the horizontal, "below" more than 10° below it.
+The other sectors are intervals of the angle from the base's heading, on both sides."""
 _TRIES = 600  # [-] largest number of positions that are drawn for a case
 _ABOVE, _BELOW = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
 _EDGES = {"front": 30.0, "front corner": 60.0, "side": 120.0}  # [deg] largest angle from the front
@@ -80,7 +80,7 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load a robot's data once per process; raises errors of `load_robot`, `check_avoidance`.
+    """Load a robot's data once per process; raises the errors of loading and `check_avoidance`.
 
     `near` and `far` are the quantiles 2 % and 98 % of the end-effector's distance from the shoulder
     in random postures. Only postures count in which the end-effector points outwards, with a
@@ -271,7 +271,7 @@ def _met(row: Row, prefix: str) -> bool:
 
 
 def too_fast(row: Row) -> bool:
-    """Whether a joint exceeded 1.05 of its speed limit > 0.1 s after the last saturated torque."""
+    """Whether a joint exceeded 1.05 of its speed limit, except ≤ 0.1 s after a saturated torque."""
     return (row.get("joint_speed_share_unsaturated_max") or 0.0) > 1.05
 
 

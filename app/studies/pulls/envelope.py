@@ -17,7 +17,7 @@ from app.studies.pulls.parameters import PARAMETERS, Interval, StudyRange
 from app.studies.runs import Row
 
 STATED = Path(__file__).with_name("envelope.toml")  # the envelope that the project states
-MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a case against it
+MARGIN = 0.9  # [-] largest ratio of the envelope's force to the smallest force of a bad case
 FORCE = "hand_force_clear_max_n"  # largest force until any two bodies were nearer than `NEAR`
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
@@ -42,7 +42,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             raise StudyError(f"{STATED}: the envelope cannot be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """Ranges limited to the envelope, `hand_f_max` to F*; StudyError if a range is outside."""
+        """Ranges within the envelope, `hand_f_max` up to F*; StudyError if one is all outside."""
         found = {}
         for name, (lower, upper) in (self._intervals() | {"hand_f_max": (0.0, self.force)}).items():
             low, high = getattr(ranges, name)
@@ -93,7 +93,7 @@ def tally(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """The tally of the even cases inside an envelope fitted to the odd cases, and vice versa."""
+    """One tally: even cases inside an envelope fitted to odd cases, and odd cases vice versa."""
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
     for fitted, others in (halves, halves[::-1]):

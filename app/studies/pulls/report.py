@@ -51,7 +51,7 @@ _FAULTY: Events = {
         too_fast(row) and not row["floor_contacts"] and row.get("fault_stale_s") is None
     ),
 }
-"""Outcomes of faulty readings; each of the last two includes only cases of the one before it."""
+"""Events after faulty readings; each of the last two includes only cases of the one before it."""
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _COLUMNS = {
@@ -129,7 +129,7 @@ def summary_of(rows: Rows, parameters: StudyParameters, d_b: float) -> tuple[dic
 def _reported(rows: Rows, name: str) -> dict[str, int]:
     """Count the cases with a fault, those with a report of it, and those with a report at most
     0.2 s after its beginning. A fault begins at the control step nearest to `fault_at_s`,
-    `stated_period` at 0. Earlier reports do not count.
+    `stated_period` at 0. A case whose first report is earlier counts as one without a report.
     """
     none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
     faulty = [row for row in rows if row.get(column, none) != none]
@@ -176,7 +176,7 @@ def _quantiles(rows: Rows, column: str) -> dict[str, float] | None:
 @picture("envelope", "Envelope of safety")
 def draw_envelope(rows: Rows, envelope: Envelope, _: float) -> Figure:
     """Each point is a case; cases that stopped with an error are missing. The blue area is the
-    envelope that is fitted to these cases. Its force is at most 0.9 times the smallest force of the
+    envelope that is fitted to all cases. Its force is at most 0.9 times the smallest force of the
     cases that failed or in which the arm came nearer to the base than 10 mm.
     """
     figure, axes = new_panels(4.6)
@@ -235,9 +235,9 @@ def draw_clearance(rows: Rows, envelope: Envelope, d_b: float) -> Figure:
 
 @picture("errors", "Final error of the end-effector")
 def draw_errors(rows: Rows, *_: object) -> Figure:
-    """The distance of the end-effector from its target at the end of each run. If the base cannot
-    move away in the direction of a pull, such as down onto the base, the arm resists the pull: the
-    end-effector then intentionally ends far from the target.
+    """The distance of the end-effector from its target at the end of each run, 0 if no person then
+    holds it. If the base cannot move away in the direction of a pull, such as down onto the base,
+    the arm resists the pull: the end-effector then intentionally ends far from the target.
     """
     figure, (left, right) = new_panels(3.8, 1, 2, width_ratios=(3, 2))
     values = np.clip(_known(rows, "ee_error_final_m"), *_ERRORS)

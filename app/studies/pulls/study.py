@@ -95,7 +95,7 @@ def _lost_row(parameters: StudyParameters, number: int) -> Row:
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
-    """Write all files of a study, and return the content of `study.json`."""
+    """Write the results of a study, and return the content of `study.json`."""
     from app.studies.pulls.report import PICTURES, report_html, summary_of
     from app.studies.style import png_of, styled
 
@@ -212,8 +212,8 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
 def _client(scheduler: str) -> Any:
     """A dask client of the scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-    Raises a StudyError if no scheduler answers, if there is no worker, or if a worker has other
-    code than this process. The certificates for `tls://` addresses come from dask's configuration.
+    Raises a StudyError if no scheduler answers, there is no worker, or a worker has other code than
+    this process or lacks a module. The certificates for `tls://` come from dask's configuration.
     """
     # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client

@@ -126,7 +126,7 @@ class StartFinder:
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move end-effector (3,) [m] and joints (n_m,) as near to a distance [m] as possible."""
+        """Slide p_ee (3,) [m] and q_m (n_m,) towards a `distance` [m], by at most about 0.25 m."""
         excess = self._closest(q_m).d - distance
         step, moved, small = np.sign(excess) * 0.02, 0.0, 1e-4  # [m]; `small` is the tolerance
         while abs(excess) > small and abs(step) > small / 8 and moved <= 0.25:  # [m]
