@@ -1,4 +1,4 @@
-"""The exceptions below `DbbError`, each with a one-line text, and functions for these texts."""
+"""`DbbError` and its subclasses, each with a one-line text, and functions that form texts."""
 
 import difflib
 from collections.abc import Collection, Iterable, Iterator, Mapping

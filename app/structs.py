@@ -54,7 +54,7 @@ def _kind(handle: _Handle, _: Any) -> _Struct:
 
 @extending.unbox(_Struct)
 def _unbox(kind: _Struct, handle: Any, c: Any) -> extending.NativeValue:
-    """Generate the code that makes the struct from a `_Handle` in compiled code."""
+    """Generate the code that converts a `_Handle` from Python to the struct."""
     address = c.pyapi.long_as_voidptr(handle)
     value = structref._Utils(c.context, c.builder, kind).new_struct_ref(address)._getvalue()
     c.context.nrt.incref(c.builder, kind, value)  # decremented after the call

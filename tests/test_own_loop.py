@@ -1128,6 +1128,15 @@ def test_invalid_period_or_too_large_a_gain_for_it_is_refused(
     assert ControlLoop(robot, border_data, dt=0.00857).controller.dt == 0.00857
 
 
+def test_controller_that_is_refused_is_not_in_use(robot: RobotModel, border_data: BorderData):
+    """The measured period can be too long for a gain."""
+    controller = ControlLoop(robot, border_data).controller
+    controller.dt = 0.02
+    with pytest.raises(ConfigError, match="limit.velocity_rate"):
+        controller.use("none")
+    assert controller.name == "dbb"
+
+
 @pytest.mark.parametrize("path", ["barrier.d_min", "barrier.rate", "limit.torque_rate"])
 @pytest.mark.parametrize("bound", ["low", "high"])
 def test_each_bound_of_a_parameter_can_be_set_during_a_pull(run, path: str, bound: str) -> None:

@@ -24,7 +24,7 @@ _MAX_NEWTON = 30  # [-] largest number of Newton steps along a ray
 _AT_END = 1e-9  # [m] tolerance of the distance d_b at a ray's end
 
 _Rings = tuple[Array, Array]
-"""Closed polygons around one convex shape, counter-clockwise, with vertices at d_m = d_b: ascending
+"""Counter-clockwise polygons around one convex shape, at the distance d_b from it: ascending
 heights (H,) [m], and vertices (H, RAYS + 1) [m] as x + iy. The last vertex equals the first."""
 
 
@@ -81,7 +81,7 @@ def _shown(rings: _Rings, others: list[ConvexPart], d_b: float) -> Array:
 
 def _trace_rings(part: ConvexPart, d_b: float) -> _Rings:
     """Trace the offset of a convex shape by d_b [m], above the floor. All rays start at the shape's
-    centre or, if a slice does not contain this centre, those of each slice at the slice's centre.
+    centre. If any slice does not contain it, the rays of every slice start at their slice's centre.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b).tolist()

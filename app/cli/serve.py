@@ -167,7 +167,7 @@ def _opened(first: _First) -> DashboardServer:
 
 def _border(model: RobotModel) -> BorderData:
     """The stored border. Without it: the stored coarse border, which a background process refines
-    for the next start. Without both: a newly sampled border.
+    for the next start. Without both: a newly sampled full border.
     """
     from app.border.cache import kept_border_data, load_border_data
     from app.border.sampling import QUICK

@@ -57,7 +57,7 @@ class Controller:
         dt: float = 0.001,
         interpolate: bool = False,
     ) -> None:
-        """Prepare the controller; arguments and errors as `ControlLoop`."""
+        """Arguments and errors as `ControlLoop`, but `interpolate` is False by default."""
         contract.check_types(model, data, interpolate)
         check_name("controller", name, CONTROLLERS)
         self.config = model.description.config if config is None else config
@@ -93,13 +93,14 @@ class Controller:
     def use(self, name: str) -> None:
         """Use a different controller from the next step on; errors as `ControlLoop`."""
         check_name("controller", name, CONTROLLERS)
+        contract.check_gains(self.config, self.dt)
         self.name = name
         self.configure(self.config)
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
 
-        The border changes at once; the method `hqp` always uses the sampled points. The buffer
+        The border changes at once; for the method `hqp`, its kind is always `points`. The buffer
         distance in use approaches a new d_b at `algorithm.BUFFER_RATE`. An addition to the mass of
         the payload is subtracted from the detected loads.
 
@@ -162,9 +163,9 @@ class Controller:
             arm's QP or the hierarchy of `hqp` has no solution (docs/own_loop.md).
 
         Raises:
-            MeasurementError: An argument has a wrong type or number of entries, the reference or
-                `base_acceleration` is not possible, a joint of the first reading is far outside of
-                its position limits, or the first reading's time stamp is too far from `now`.
+            MeasurementError: An argument has a wrong type or size, the reference is no possible
+                motion (`is_motion`), `base_acceleration` is not finite, a joint of the first
+                reading is far outside of its limits, or its time stamp is too far from `now`.
         """
         if base_acceleration is None:
             return self._step(measurement, reference, algorithm.BASE_AS_COMMANDED)

@@ -7,10 +7,10 @@ present state is predicted from it. Thus repeated, lost, impossible and late rea
 case: a reading has an age. Time stamps show the age, the caller's clock shows the period; otherwise
 both are estimated from the readings. The module decides on four properties:
 
-- **The lag**, the delay of the readings in periods. A delay that begins during a motion is the age
+- **The lag**, the delay of the readings in periods. A delay that changes during a motion is the age
   at which the predicted state equals the reading (`_match_lag`). Any other delay is the time until
   accelerations due to the torques and the base appear in the measured positions (`_find_lag`).
-- **The period** is right if a joint's motion is the integral of its velocity (`_find_period`).
+- **The period**, without a clock, is right if positions integrate velocities (`_find_period`).
 - **The contradiction**. A joint moves far above its speed limit, and at each lag the commanded
   torques explain its motion worse than no torques (`_weigh_lags`). Many successive jumps count too.
 - **The velocities** are not used if they exceed the speed limits by far, or do not match the
@@ -49,13 +49,13 @@ FAULTS = {
     "(degrees?) and the order of the joints",
     "velocity": "velocities of joints or base are missing, impossible, or do not match the "
     "positions: positions and the model of the base's drive are used instead",
-    "repeated": "readings of joints have not changed although these joints move: the motion since "
-    "the last new reading is predicted",
+    "repeated": "readings of joints have the last time stamp, or the same values although the "
+    "joints move: the motion since the last new reading is predicted",
     "stale": "for 0.1 s, all readings were invalid, implausible, too old, or repeated: the step "
     "returns the fallback command",
     "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
-    "lag": "the readings are older than stated: the age is compensated, up to 24 periods or, with "
-    "time stamps, 0.1 s",
+    "lag": "the readings are older than `estimate.delay`: the age is compensated, up to 24 periods "
+    "or, with time stamps, the smaller of 0.1 s and 127 periods",
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
     "localisation": "the base's pose has jumped, or contradicts its velocity: use a frame without "
     "jumps, such as odom, and check the unit and the sign of pose and velocity",
@@ -75,7 +75,7 @@ INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD = range(8)
 LOCALISATION, LOAD, BASE, CONTRADICTORY, STALL = range(8, 13)
 
 HISTORY = 128
-"""Largest age of a reading, in control periods, over which the motion can be predicted."""
+"""Number of rows of `history`; a reading must be fewer control periods old than this number."""
 MAX_AGE = 0.1
 """[s] largest time without a new reading before the fallback command."""
 EARLY = 0.01
@@ -106,7 +106,7 @@ _ALIKE_PERIODS = 0.05  # [-] largest relative difference of two such measurement
 _DOUBTFUL = 60.0  # [1/s] largest error of a used speed, relative to a speed limit and to the
 # control period, that does not cast doubt on the age of the readings
 _LATE = 0.024  # [s] additional age of the readings in case of doubt
-_MOST_LAG = 24  # [periods] largest lag
+_MOST_LAG = 24  # [periods] largest estimated or stated lag; time stamps can show a larger one
 _GROUP = 5.0  # [periods] duration of a group of readings
 _FEWEST_GROUPS, _CUBIC = 5, 8  # [-] smallest numbers of groups for a parabola, and for a cubic
 _EXACT, _MOST_NOISE = 5e-6, 1e-4  # [rad] bounds of the assumed error of a predicted motion
@@ -168,10 +168,10 @@ def _compare_joints(w: Any, read: Array, stamp: float, dt: float) -> tuple[Array
     """Compare the readings (2, n_m) of each joint with its last ones, which they can repeat.
 
     Repetitions are all readings with the last time stamp [s], and equal readings of a joint that
-    moves; without a velocity or with a new stamp, its motion in a period must exceed the encoder's
-    resolution. If no reading has changed, one repetition shows that all are repetitions; otherwise
-    a joint's repetitions count up to 0.1 s. Without stamps, a new reading can be farther away than
-    a joint moves in two periods at its new velocity; the equal readings before it were repetitions.
+    moves; without a velocity or with a new stamp, its motion since the last new reading must exceed
+    2.5 encoder steps. If no reading has changed, one repetition shows that all are repetitions;
+    otherwise a joint's repetitions count up to 0.1 s. Without stamps, if a new reading is farther
+    than two periods at the joint's new velocity, equal readings before it were repetitions.
 
     Returns (n_m,) whether each reading is a repetition; the number of the equal readings before a
     new one that were repetitions of all joints; and (n_m,) the further number of each joint.
@@ -512,7 +512,7 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 def count_periods(w: Any, now: float, dt: float) -> tuple[float, float]:
     """Number of control periods dt [s] since the last step, and the lead of the clock [periods].
 
-    `now` [s] is the time of this step. The number is 1 without a clock or if `now` is unchanged,
+    `now` [s] is the time of this step. The number is 1 without a clock or if `now` does not grow,
     infinite after a pause of more than 0.1 s, and 0 for a second step in the same period, because
     some loops catch up after a stall. A step that is up to 0.9 periods late, or up to half a period
     early, counts as one period; if a coarse clock has not changed for some steps, these bounds

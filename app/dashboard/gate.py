@@ -107,7 +107,7 @@ class GarbageError(RefusedError):
 
 
 class Gate:
-    """Checks between a viser server and its connections."""
+    """It refuses connections and messages that a viser server must not get."""
 
     def __init__(self, host: str, allowed: Collection[str], largest_upload: int) -> None:
         """Create a gate; the arguments are those of `open_server`."""

@@ -153,7 +153,7 @@ class Strip:
         self._bin, self._last = [], nearest
 
     def _note(self, t: float, kind: str, subject: str, text: str) -> None:
-        """Add an event, or update the text of the same event if it was seen within `_QUIET`."""
+        """Add an event, or update the text of one of equal kind and subject within `_QUIET`."""
         number, seen = self._seen.get((kind, subject), (-1, -np.inf))
         if t - seen <= _QUIET and number in self.events:
             self.events[number] = self.events[number]._replace(text=text)

@@ -127,7 +127,7 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 @contextmanager
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
-    """End the process 2 to 3 s after a signal of `numbers`, or after 8 s if no thread can run."""
+    """End the process 2 to 3 s after a signal of `numbers` in the `with`; 8 s if no thread runs."""
     # Python's own handlers wait until compiled code of the main thread has returned, and their
     # exceptions can be lost there. Therefore the system writes the number of each signal to a pipe.
     # The guard passes these numbers on to a thread, which ends this process; if the guard is

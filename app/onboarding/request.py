@@ -65,7 +65,7 @@ class Request:
     """Number of bodies of the arm; default: four or, if four bodies are not sufficient, another
     number from two to seven."""
     assume_inertia: bool = False
-    """Compute masses from volumes if no link of the arm has a mass in the URDF."""
+    """Accept an arm without any mass in the URDF, and compute it from volumes."""
     title: str | None = None
     """Displayed title of the robot; default: its name."""
     licence: str | None = None

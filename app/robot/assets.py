@@ -108,7 +108,7 @@ def robot_folder(name: str) -> Path:
 
 
 def hidden_robot(name: str) -> str:
-    """A sentence about an unused folder with a robot of this name; empty if there is none."""
+    """A sentence about a folder that another robot of this name hides; empty without one."""
     used, *others = dict.fromkeys(each.resolve() for each in _folders(name)) or [None]
     if not others:
         return ""
@@ -382,7 +382,7 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
 
 
 def _mesh(reference: str, folder: Path) -> Path:
-    """The file of a mesh: of a package, at an absolute path, or below the folder of the URDF."""
+    """The file of a mesh: in a package, at an absolute path, or within the URDF's folder."""
     if "://" in reference:
         return _intact(resolve_package_uri(reference))
     path, rule = Path(reference), ""

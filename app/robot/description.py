@@ -76,7 +76,7 @@ class BodyDescription(Strict):
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
     """URDF links that this body represents in distances and contacts. It encloses them, except for
-    parts that cannot meet another body."""
+    parts that can meet at most its neighbours."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """For links in `covers`, the links of other bodies that are nested with them. If nested links
     touch, this does not count as a contact."""
@@ -119,7 +119,7 @@ class RobotDescription(Strict):
     """Lines by the name of the scenario. `guiding-lateral`, `guiding-front` and `tracking` need a
     line or a start from the user; `tracking` can use the line of `guiding-lateral`."""
     without_line: dict[str, str] = Field(default_factory=dict)
-    """Reasons for missing lines, by the name of the scenario."""
+    """Reasons why a scenario has no line, by its name."""
     unwatched: dict[str, str] = Field(default_factory=dict)
     """Reasons why pairs of bodies are not monitored, by the pair's name, such as `lm-l2`.
     Neighbours are never monitored."""

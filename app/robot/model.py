@@ -127,7 +127,7 @@ class RobotModel:
 
     @cached_property
     def ready_inertia(self) -> Array:
-        """(n_m,) [kg m² or kg] inertia of each joint in the ready posture."""
+        """(n_m,) [kg m² or kg] `joint_inertia` in the ready posture."""
         ready = np.array(self.description.arm.ready_position)
         return self.joint_inertia(self.configuration((0.0, 0.0, 0.0), ready))
 

@@ -222,7 +222,7 @@ def carrying(joint: int) -> int:
 
 @compiled()
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
-    """Velocity of a point at p (3,) for one unit of the k-th velocity, which moves its body."""
+    """Velocity, per unit of the k-th velocity, of the point p (3,) of a body that it moves."""
     return _swept(J[:3, k], J[3:, k], p)
 
 

@@ -91,7 +91,7 @@ class People:
 
 
 class PersonHand:
-    """A person's hand during one hold of a point of the robot, at p_ee with velocity v_ee.
+    """A person's hand during one hold of the robot's point p_ee, which has velocity v_ee.
     A hand without a mass exerts F = K (p - p_ee) - D v_ee on the held point, limited to f_max. p,
     the free end of the hand's spring, starts at p_ee and moves towards the latest target as a
     critically damped point with limited speed. Thus, a new target causes no step of F. A similar

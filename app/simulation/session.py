@@ -182,7 +182,7 @@ class Session:
         """Advance by one control step; raises the errors of `ControlLoop.step` and `People.pull`.
         The first four arguments are the fields of `StepInput`. `forces`, if specified, replace the
         forces of `pull` and `holds`, and `Step.pulls` is then empty; `Step.hand_target` and
-        `Step.ee_error` still refer to the person of `pull` or `holds` at the end-effector.
+        `Step.ee_error` still have the target of `pull` or, without it, of a hold without a link.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)

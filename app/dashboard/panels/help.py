@@ -73,7 +73,7 @@ CARDS = {  # by the guide's state
     ),
     "watch": Card(
         "The same pull on two robots",
-        f"{_BOTH} The scenario is {SHOWN}, with a path {FARTHER:g} times as long.",
+        f"{_BOTH} The scenario is {SHOWN}, with {FARTHER:g} times its usual path.",
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(

@@ -73,7 +73,7 @@ class Camera:
     """Moves the camera of one client.
 
     The browser reports each new position after a delay, together with the viewer's own changes. So
-    that no change is lost, `follow` and `find` wait for this report, but at most for `_PATIENCE`.
+    that no change is lost, `follow` and `find` return early until this report, or `_PATIENCE`.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -96,7 +96,7 @@ class Camera:
 
     @property
     def window(self) -> Window:
-        """The part of the page with the scene, as last reported by the browser."""
+        """Shape and covered parts of the scene, as last stated by the browser."""
         height, above, below = self._page
         whole = max(height, 1.0)
         return Window.of(*image_size(self._client), above / whole, below / whole)

@@ -37,7 +37,7 @@ _AROUND = np.array([0.15, 0.15, 0.0])  # [m] space for a border around the base
 
 
 class Visual(NamedTuple):
-    """A mesh in the frame of the joint that moves it."""
+    """A mesh, and its pose in the frame of the joint that moves it."""
 
     name: str
     joint: int  # index of pinocchio's joint; 0 for a mesh that is fixed to the root

@@ -394,9 +394,9 @@ def _ranked(
 ) -> list[tuple[float, list[list[int]]]]:
     """All valid divisions of the chain into groups, each with the cost of its number of bodies.
 
-    They are sorted by this cost plus that of the collisions missed by ideal bodies, which overlap
-    exactly if their links overlap. Each group has a shape. If unit 1 has shapes, no group joins it
-    with `slides`, units on prismatic joints. If possible, bodies of units in `apart` are a pair.
+    The sort key is this cost plus that of the collisions missed by bodies that overlap exactly if
+    their links do. Each group has a shape. If unit 1 has shapes, its group has none of `slides`,
+    units on prismatic joints. If some divisions make all of `apart` pairs, the others are invalid.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

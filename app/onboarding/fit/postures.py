@@ -320,10 +320,10 @@ class _Guide:
     def lines(self, name: str, on_progress: OnProgress = lambda _: None) -> Iterator[Place]:
         """Lines of a scenario, the most promising ones first; no two have nearly the same end.
 
-        First the arm moves to each start from a known posture. Each time the caller requests a
-        line, a slower search, with few tries and then with all, looks for a line that leads nearer
-        to the base than `INNER` times d_b and on which a run can start. Only if no line satisfies
-        both conditions, this yields the first of the other lines on which a run can start.
+        First the arm follows each line from a known posture. A slower search then tests whether a
+        run can start on the lines that lead nearer to the base than `INNER` times d_b: on each with
+        few tries, later on the remaining ones with all tries. It pauses at each line that it
+        yields. If it finds none, it yields one of the other lines on which a run can start.
         """
         mount = self._model.p_base()
         tops = _tops(self.body, float(mount[2]) + 0.4)  # not far above the arm

@@ -67,7 +67,7 @@ class LinkGeometry(NamedTuple):
 
     @property
     def surface(self) -> Array:
-        """(N, 3) [m] up to 1,500 corners and 1,500 random points per hull, in the link's frame."""
+        """(N, 3) [m] corners and random points, up to 1,500 each per hull, in the link's frame."""
         points = [np.zeros((0, 3))]
         for hull in (shape.hull for shape in self.shapes):
             count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))

@@ -162,8 +162,8 @@ def mesh_address(reference: str, folder: Path, packages: Folders | None = None) 
 
 
 def spellings(reference: str) -> list[str]:
-    """Possible spellings of an address in the file system: unchanged, without URL escapes (`%20`),
-    and with slashes instead of backslashes; and each in the Unicode normal forms NFD and NFC.
+    """Possible spellings of an address in the file system: unchanged, with URL escapes decoded,
+    with slashes instead of backslashes, with both changes; and each in the forms NFD and NFC.
     """
     plain = reference.strip()
     slashed = plain.replace("\\", "/")

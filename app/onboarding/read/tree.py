@@ -111,7 +111,7 @@ class Tree:
         return tuple(found)
 
     def pose(self, link: str, base: str) -> pin.SE3:
-        """T_base_link of a descendant of the base, with all joints at zero."""
+        """T_base_link, with all joints at zero, of a `link` below `base`."""
         steps = (joint.T_parent_child for joint in self.chain(base, link))
         return reduce(operator.mul, steps, pin.SE3.Identity())
 

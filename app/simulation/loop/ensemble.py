@@ -124,7 +124,7 @@ class Ensemble:
         self._holds.pop(who, None)
 
     def step(self) -> Step:
-        """Execute one control step of all robots, with the scenario's input and people's pulls."""
+        """Execute a control step of all robots by scenario and pulls; return the main robot's."""
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
         holds = tuple(self._holds.values())
@@ -221,8 +221,8 @@ class Runner:
     def step(
         self, holds: tuple[Hold, ...], forces: PersonForces | None = None, *, scored: bool = True
     ) -> Step:
-        """Execute one `Session.step` with the driver's input, the `holds` and any `forces`. If
-        `scored`, the step counts in the score, unless the scenario's motion has ended.
+        """Execute one `Session.step` with the driver's input and `holds`; `forces` replace
+        theirs. If `scored`, the step counts in the score until the scenario's motion ends.
         """
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)

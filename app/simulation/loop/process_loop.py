@@ -47,7 +47,7 @@ class ProcessLoop(LoopHandle):
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
         """Prepare the loop, as in `SimulationLoop`; `make_session` must be picklable. `child` is a
-        process of `loop_child`; without `child`, `begin` starts a new process.
+        result of `loop_child`; without `child`, `begin` starts a new process.
         """
         super().__init__()
         self._stopping = threading.Event()

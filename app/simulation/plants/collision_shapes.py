@@ -125,7 +125,7 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
 
 
 def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
-    """The collision shapes of the links in a URDF; `model` has the joints that move them."""
+    """The collision shapes of the links in a URDF's text; `model` has the joints that move them."""
     try:
         loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     except ValueError as error:  # assimp reports exhausted memory like a damaged file

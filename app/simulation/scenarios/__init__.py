@@ -1,4 +1,4 @@
-"""All scenarios by their names, with the robot's own lines, and the start of free motion."""
+"""Scenarios by name, a robot's own lines for them, and the start posture of free motion."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
-    """[m] smallest distance of the pairs with the base (`mobile`) or within the arm, or None."""
+    """[m] smallest distance of pairs with the base (`mobile`) or within the arm; None without."""
     chosen = [(pair in run.meta.mobile_pairs) == mobile for pair in run.meta.pairs]
     return float(run.distances[:, chosen].min()) if any(chosen) else None
 

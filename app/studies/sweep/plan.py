@@ -167,7 +167,7 @@ class SweepPlan:
         return found
 
     def trials(self, starts: list[Start]) -> Iterator[tuple[Start, str, float]]:
-        """The arguments of `spec` for each controller, each speed, and each existing start."""
+        """The arguments of `spec` for each controller, each speed, and each found start."""
         for controller, speed, start in product(self.controllers, self.speeds, starts):
             if not start.reason:
                 yield start, controller, speed

@@ -76,7 +76,7 @@ class StartFinder:
         self._flaws: Counter[str] = Counter()  # its failed tries, by the reason
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
-        """Find the start of a path, or the three most frequent reasons why there is none.
+        """Find the start of a path; without one, `reason` has the three most frequent reasons.
 
         If the arm cannot reach the desired `distance` [m] from the base on the path's line, the
         start has the distance at which the search ended. At most six postures are tried.
