@@ -156,7 +156,7 @@ class Setup:
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb (the paper's method), hqp (dbb with (26) to (29) as printed, a border of points, and no
+    """dbb (the paper's method), hqp (dbb with hierarchy (26) to (29), a border of points, and no
     joint limits or barriers; slower), repulsive, barrier (to compare), or none (no avoidance)."""
     physics: str = field(default_factory=default_plant)
     """planar (pybullet; three velocity-controlled joints move the base), mujoco (the same model in

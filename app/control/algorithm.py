@@ -164,7 +164,7 @@ def algorithm_2(
     # fmt: off
     update_kinematics(robot, gains, w)               # line 2, closest points of lines 4 and 9
     activate_pairs(gains, w)                         # Figure 10
-    push_base(robot, gains, border, w)               # lines 3 to 6, Algorithm 3, (12)-(18), (28)
+    push_base(robot, gains, border, w)               # lines 3 to 7, Algorithm 3, (12)-(18), (28)
     stack_avoidance_task(robot, gains, w)            # lines 8 to 13, (20)-(25), (27)
     stack_tasks(robot, gains, w, tracking)           # line 14, (26)
     w.qp_open[()] = 0.0
@@ -192,7 +192,7 @@ def activate_pairs(gains: Any, w: Any) -> None:
 
 @compiled()
 def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
-    """Lines 3 to 6: write acting points and forces of the pairs of arm and base, ẍ_m and β_m.
+    """Lines 3 to 7: write acting points and forces of the pairs of arm and base, ẍ_m and β_m.
 
     A pair with β = 0 has no force, and its p_n, p_t, p_act, t and α are NaN.
     """

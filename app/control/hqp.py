@@ -1,7 +1,7 @@
-"""(26) to (29) as printed in the paper (§3.4): strict levels and their transition.
+"""The paper's hierarchy (26) to (29) of §3.4: strict levels and their transition.
 
 This is the compared method `hqp`, without joint limits and barriers; docs/comparison.md lists the
-parts that are those of `dbb`. "As printed" in docs/departures.md has the necessary corrections.
+parts that are those of `dbb`. "As printed" in docs/departures.md lists its corrections.
 The level T_sca has only the rows with β > 0. u is not an unknown here, because (26) defines
 u = M q̈ + C q̇ + g without a constraint on q̈.
 """
