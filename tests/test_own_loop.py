@@ -61,10 +61,20 @@ class Run(NamedTuple):
     """[m] smallest distance of a pair."""
     faults: dict[str, float]
     """[s] time of the first report of each fault."""
-    ee: Array
-    """(k, 3) [m] path of the end-effector."""
+    robot: RobotModel
+    seen: list[Measurement]
+    """True readings before each step."""
     sent: Measurement
     """The last readings."""
+
+    @property
+    def ee(self) -> Array:
+        """(k, 3) [m] path of the end-effector."""
+        state, path = RobotState(self.robot), []
+        for each in self.seen:
+            state.update_kinematics(each)
+            path.append(state.p_ee.copy())
+        return np.array(path)
 
 
 @pytest.fixture(scope="module")
@@ -99,22 +109,21 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
         plant, seen = Kinematic(robot, dt=real), RobotState(robot)
         plant.reset(np.zeros(3), starts[start] if isinstance(start, tuple) else start)
         seen.update_kinematics(plant.measure())
-        origin, share, nearest, faults, ee = seen.T_world_ee.copy(), 0.0, np.inf, {}, []
+        origin, nearest, faults, path = seen.T_world_ee.copy(), np.inf, {}, []
         for k in range(round(time / real)):
             sent = plant.measure()
-            share = max(share, float((np.abs(sent.qd_m) / robot.qd_max).max()))
+            path.append(sent)
             wanted = reference(k * real, origin) if reference else None
             if not stalls(k):
                 command = loop.step(degrade(k, sent), wanted)
             nearest = min(nearest, float(command.step.d.min()))
             for name in command.faults:
                 faults.setdefault(name, k * real)
-            seen.update_kinematics(sent)
-            ee.append(seen.p_ee.copy())
             force = pull(k) if callable(pull) else pull
             plant.step(command.u_a, driven(np.asarray(command.base_velocity)), force)
         sent = plant.measure()
-        return Run(sent.base_pose, share, nearest, faults, np.array(ee), sent)
+        share = (np.abs([each.qd_m for each in path]) / robot.qd_max).max()
+        return Run(sent.base_pose, float(share), nearest, faults, robot, path, sent)
 
     return run
 
@@ -1132,7 +1141,7 @@ def test_controller_that_is_refused_is_not_in_use(robot: RobotModel, border_data
     """The measured period can be too long for a gain."""
     controller = ControlLoop(robot, border_data).controller
     controller.dt = 0.02
-    with pytest.raises(ConfigError, match="limit.velocity_rate"):
+    with pytest.raises(ConfigError, match=r"limit\.velocity_rate"):
         controller.use("none")
     assert controller.name == "dbb"
 
