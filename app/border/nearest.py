@@ -108,7 +108,7 @@ def level(firsts: Array, heights: Array, z: float) -> float:
 
 @compiled()
 def _row(heights: Array, first: int, last: int, z: float) -> tuple[int, int, float]:
-    """The rows in [first, last) below and above z, and the fraction of z between their heights."""
+    """Rows in [first, last) below and above z (one row twice at its height), and z's fraction."""
     k = first + int(np.searchsorted(heights[first:last], z, side="right")) - 1
     if heights[k] == z or k + 1 == last:
         return k, k, 0.0

@@ -129,7 +129,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
 def filmed(
     run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Execute a run with a progress bar; the result is that of `app.simulation.run.filmed`."""
+    """Execute a run with a progress bar; return its snapshots at 50 Hz and at `times` [s]."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:

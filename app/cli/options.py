@@ -33,8 +33,8 @@ ConfigOption = Annotated[
     Path | None,
     NO_DEFAULT,
     tyro.conf.arg(
-        help="TOML file of parameters, written by `dbb config` or the dashboard; all other "
-        "parameters have the robot's defaults. Options that set parameters override the file."
+        help="TOML file of parameters, as `dbb config` or the dashboard writes it; others have the "
+        "robot's defaults. Any options for parameters override the file."
     ),
 ]
 Processes = Annotated[

@@ -113,9 +113,9 @@ def new_robot(
     with its source. It writes all files or none.
 
     Args:
-        quick: Sample a coarse border in seconds. The first `dbb serve` uses it, and refines it in
-            the background for the next start. Other commands that need a border first sample the
-            full one, which takes minutes; `dbb check-robot --quick` does not.
+        quick: Sample a coarse border in seconds. The first `dbb serve` uses this border, and
+            refines it in the background for the next start. Other commands that need a border
+            start by sampling the full one, in minutes; `dbb check-robot --quick` does not.
     """
     asked = Request(**request)
     check_request(asked)

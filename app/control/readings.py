@@ -613,8 +613,8 @@ def later_base(
     """The pose (3,) and the velocity (n_b,) of the base, `age` [s] after their readings.
 
     The velocity changes by the assumed accelerations of the last control periods; if the age is
-    negative, it is constant. If an entry of the velocity is missing or impossible, it becomes NaN,
-    and the pose moves at the present velocity. With an age above `_SELDOM`, all results are NaN.
+    negative, it is constant. A missing or impossible entry becomes NaN; in the pose's motion the
+    entry of `w.base_velocity` replaces it. With an age above `_SELDOM`, all results are NaN.
     """
     w.base_late[()] = 1.0
     if not age <= _SELDOM:

@@ -29,7 +29,7 @@ _ATTRIBUTES = {  # of elements in which a missing attribute means a default
 
 
 def unit_of(length: float) -> str:
-    """The probable unit of a length that is too large in metres, such as `millimetres`."""
+    """Probable unit of a length too large in m: `millimetres` or `inches or centimetres`."""
     return "millimetres" if length >= 60.0 else "inches or centimetres"
 
 

@@ -73,7 +73,7 @@ CARDS = {  # by the guide's state
     ),
     "watch": Card(
         "The same pull on two robots",
-        f"{_BOTH} The scenario is {SHOWN}, with {FARTHER:g} times its usual path.",
+        f"{_BOTH} The scenario is {SHOWN}, on a path {FARTHER:g} times as long.",
         (WATCH, PULL, CLOSE),
     ),
     "demo": Card(
@@ -116,7 +116,7 @@ CARDS = {  # by the guide's state
         "Compare",
     ),
 }
-"""The first three cards begin with the same buttons: a card can change just before a click."""
+"""The first three cards begin with the same buttons, so a late click still hits the same one."""
 SEEN = "dbb-tour-seen"  # key in the browser's storage after the first visit
 
 

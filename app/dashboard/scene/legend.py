@@ -65,7 +65,7 @@ def legend_html(legends: list[Legend]) -> str:
 
 
 def key_html(d_b: float) -> str:
-    """Return a key to most signs, without the colours of borders, as HTML; d_b in [m]."""
+    """Return a key to most lines, dots and arrows, not border colours, as HTML; d_b in [m]."""
     force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
     states: dict[State, str] = {
         "clear": "closest points of a pair outside its buffer",

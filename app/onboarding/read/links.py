@@ -252,7 +252,7 @@ def _merge(mesh: trimesh.Trimesh, cell: float) -> None:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; all if at most `_MANY`."""
+    """The farthest points in 642 (`fineness` 3) or 2,562 (4) directions; all of up to `_MANY`."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)

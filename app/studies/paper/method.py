@@ -175,7 +175,7 @@ def _scatter(ax: Any, points: dict[str, Array], **look: Any) -> PathCollection:
 
 
 def _view(ax: Any, model: RobotModel, points: drawing.Table, zoom: float) -> None:
-    """Draw the box around l_m; limit the equally scaled axes to the points and the origin."""
+    """Draw the box around l_m; the equally scaled axes just contain the points and the origin."""
     faces = drawing.base_corners(model)[list(_FACES)]
     look: dict[str, Any] = {"facecolor": "#CBD2D9", "edgecolor": "#616E7C", "linewidth": 0.6}
     ax.add_collection3d(Poly3DCollection(list(faces), **look, alpha=0.5))

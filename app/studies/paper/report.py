@@ -37,7 +37,7 @@ def experiments_for(names: Sequence[str]) -> list[Experiment]:
 
 
 def work(names: Sequence[str]) -> float:
-    """[s] simulated time whose computation takes about as long as making the named figures."""
+    """[s] work of making the named figures: the simulated time that takes as long to compute."""
     return duration(experiments_for(names)) + _DRAWING * len(names)
 
 

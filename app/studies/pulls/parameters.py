@@ -95,7 +95,7 @@ class StudyRange(Strict):
     released: Probability = 0.3
     """[-] probability that the person releases the end-effector before the end of the pull."""
     regrasped: Probability = 0.5
-    """[-] probability that the person grasps the end-effector again after a release."""
+    """[-] probability that a person who has released the end-effector grasps it again."""
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
