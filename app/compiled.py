@@ -147,7 +147,7 @@ def _manage_memory(library: Any, optimise: Callable[[], None]) -> None:
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
-    """Make LLVM's pass builder as numba does, but with the options that `_Lowering` needs."""
+    """Make LLVM's pass builder as numba does, but without vector code and unrolled loops."""
     options = llvm.create_pipeline_tuning_options()
     options.speed_level = config.OPT if opt is None else opt
     options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False

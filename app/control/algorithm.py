@@ -119,10 +119,10 @@ def update_estimate(
 
     This is the part of line 2 of Algorithm 2 that precedes pinocchio's computation. The present
     buffer distance `w.d_b` starts at the configured one, and approaches a new one at `BUFFER_RATE`.
-    Without valid readings, or with the fault `jump` or `localisation`, all references are
-    forgotten. With valid readings, `shift_reference` then shifts the reference in `w.x_ref` after
-    a jump of the base's pose. Returns whether the readings have a fault; without valid readings,
-    the result is True. The arguments from `readings` on are those of `take_readings`.
+    Without valid readings, or with the fault `jump` (of the arm) or `localisation` (of the base),
+    all references are forgotten. With valid readings, `shift_reference` then shifts the reference
+    in `w.x_ref` by a jump of the base's pose. Returns whether the readings have a fault or are not
+    valid. The arguments from `readings` on are those of `take_readings`.
     """
     way = BUFFER_RATE * gains.dt
     if math.isnan(w.d_b[()]):

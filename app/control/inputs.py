@@ -104,9 +104,9 @@ MOVES_BASE = frozenset(name for name, terms in METHODS.items() if "moves_base" i
 def robot_struct(
     model: RobotModel, data: BorderData, smooth: SmoothPoints, distances: PairDistances
 ) -> Any:
-    """`ROBOT`: constants of a robot, and those for closest points and distances of link pairs.
+    """The struct `ROBOT`: constants of a robot and of its link pairs' closest points and distances.
 
-    A body of the arm in L_m without reachability raises a DescriptionError.
+    If the arm's body of a pair in L_m has no reachability, this raises a DescriptionError.
     """
     base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
     mobile = data.pairs.mobile

@@ -202,7 +202,7 @@ def compliances(softness: Array, length: Array) -> Array:
 def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple[int, float]:
     """The row whose value s is farthest outside of its bounds, and its distance from the bound.
 
-    An active row counts as at its bound, a row with NaN as the most violated one.
+    The distance is negative inside the bounds, and 0 for an active row. NaN counts as the largest.
     """
     miss = np.empty(len(s))
     for i in range(len(s)):

@@ -285,8 +285,8 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     """H = M (n, n) and c (n,) of the task of a guided arm: ½ (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0).
 
-    u_0 (n_m,) [N m or N] is the torque without T_sca. For a fixed acceleration of the base, the
-    cost as a function of q̈_a has the Hessian M_aa and its minimum at u_a = u_0; each row of T_sca
+    u_0 (n_m,) [N m or N] is the torque without T_sca. H and c are valid for a fixed acceleration of
+    the base: then the Hessian for q̈_a is M_aa, the minimum is at u_a = u_0, and each row of T_sca
     adds a torque along its J_rᵀ. There is no posture task, because the person would feel it.
     """
     n_b, c = len(h) - len(u_0), np.zeros(len(h))

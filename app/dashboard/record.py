@@ -52,7 +52,7 @@ class Track:
 
 
 class Course:
-    """Results of the last scenario; a touch is a reported contact or an overlap of bodies."""
+    """Results of the last scenario; a touch is a contact in the plant or an overlap of bodies."""
 
     def __init__(self) -> None:
         self.case: RunCase | None = None  # of the last scenario, as at its start

@@ -1,4 +1,4 @@
-"""Servers of viser without output and behind a gate, messages of pages, and a watchdog.
+"""Servers of viser, silent and behind a gate; calls to and from pages; watchdog of connections.
 
 In `app`, only this module and `app.dashboard.gate` use viser's private names in Python. If one of
 these names changes, `tests/test_viser_compat.py` or `tests/test_gate.py` fails.

@@ -44,7 +44,7 @@ class Pictures(NamedTuple):
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """Draw a robot and its border; lines for guiding and warnings may still be missing."""
+    """Draw a robot and its border; the robot may still have no warnings and no guiding lines."""
     robot, data = job
     placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)

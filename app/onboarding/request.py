@@ -79,7 +79,7 @@ class Request:
     file: str | None = None
     """Path of the URDF within the zip, if the zip contains several URDFs."""
     source: str | None = None
-    """Displayed source of the robot; default: `urdf`."""
+    """Displayed source of the robot; default: the value of `urdf`."""
     package: tuple[str, ...] = ()
     """Folders of ROS packages, as NAME=FOLDER. The program looks for other packages in the URDF's
     folder and its parents, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and in this Python

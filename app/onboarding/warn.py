@@ -371,8 +371,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     """(N,) [N] largest pushes on the arm towards the base that the joint torques can resist, in
-    random postures near the base, at rest: the `force_bound` of the nearest of `pairs`, which are
-    the pairs with l_m. Without pairs, N is 0.
+    random postures at rest near the base. `pairs` are the pairs with l_m; each push is the
+    `force_bound` of the pair that is nearest in its posture. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_postures(model) if pairs else ():

@@ -68,7 +68,7 @@ class ArmDescription(Sourced):
 
 
 class BodyDescription(Strict):
-    """One link l_• of Figure 2b: a union of convex shapes that encloses some URDF links."""
+    """One link l_• of Figure 2b: a union of convex shapes that represents the links in `covers`."""
 
     source: str  # source of the shapes
     name: Name  # name, as in the pair `lm-lEE`

@@ -158,14 +158,10 @@ class Superquadric(_Placed):
 
 
 def hull_mesh(points: Array) -> trimesh.Trimesh:
-    """The convex hull of points (N, 3) [m], facing outwards; 0.1 mm thick if it has no volume."""
+    """The convex hull of points (N, 3) [m], facing outwards and at least 0.1 mm thick."""
     import trimesh  # see ConvexMesh.hull
-    from scipy.spatial import QhullError
 
-    try:
-        hull = trimesh.convex.convex_hull(points, repair=False)  # a repair would need networkx
-    except QhullError:
-        hull = trimesh.convex.convex_hull(_thick(points), repair=False)
+    hull = trimesh.convex.convex_hull(_thick(points), repair=False)  # a repair would need networkx
     out = hull.triangles_center - hull.vertices.mean(axis=0)
     inwards = np.vecdot(hull.face_normals, out) < 0.0
     hull.faces = np.where(inwards[:, None], hull.faces[:, ::-1], hull.faces)
@@ -176,11 +172,11 @@ _THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def _thick(points: Array) -> Array:
-    """Points (N, 3) [m]; along each principal axis thinner than 0.1 mm, two copies 0.1 mm apart."""
+    """Points (N, 3) [m], doubled along each principal axis thinner than 0.1 mm, to 0.1 mm."""
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
-        if np.ptp(points @ axis) < _THIN:
-            points = np.concatenate([points + s * _THIN / 2 * axis for s in (-1.0, 1.0)])
+        if (missing := _THIN - np.ptp(points @ axis)) > 0.0:
+            points = np.concatenate([points + s * missing / 2 * axis for s in (-1.0, 1.0)])
     return points
 
 

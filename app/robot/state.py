@@ -521,7 +521,7 @@ class RobotState:
         self.pin = made
 
     def update(self, measurement: Measurement) -> None:
-        """Recompute all arrays from a measurement, outside of a control step."""
+        """Recompute all arrays from a measurement; in a control step, `algorithm_2` does this."""
         q, v = self._take(measurement)
         compute_dynamics(self.pin, self.data, q, v)
         M, h, g = reduced_dynamics(*self._dynamics, self._B)

@@ -40,7 +40,7 @@ the speed, readings and joint sliders. *View* has layers and cameras. *Tune* has
 **Keys** (outside text fields): {keys}. `?` opens this tab, `Ctrl K` lists all commands. `Esc`
 closes messages and the card; if no card or dialogue is open, it also returns to the present.
 `Shift` with the arrow keys, `Page Up` or `Page Down` pulls the end-effector until `Shift` is
-released. Double click the scene to reset the view.
+released. Double click the scene to reset the camera.
 
 Several people can use the page at once. Each has their own view and point in time; the simulation
 is shared, and the forces of all who pull add up.

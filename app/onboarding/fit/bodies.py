@@ -35,7 +35,7 @@ class FittedBody(NamedTuple):
     units: tuple[int, ...]  # indices of the units that the body encloses
     fits: tuple[Fit, ...]  # its shapes, in `frame`
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """By link of this body: links nested with it in bodies nearer to the base than the last one."""
+    """By link of this body: links nested with it, in the bodies before the previous body."""
 
 
 def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:

@@ -215,7 +215,7 @@ def _share(flags: Array) -> float:
 
 
 class Detection(NamedTuple):
-    """Collisions of links in random postures that the fit has not used, and the undetected ones."""
+    """Link collisions in postures that the fit has not used, and those that no pair detects."""
 
     looked_at: int  # number of random postures
     postures: int  # number of postures in which hulls of links collide

@@ -314,8 +314,8 @@ def with_stops(
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] distance up to which two links with `distances` (N,) [m] in postures count as in contact:
-    `MARGIN`, or half of the largest of `distances` if this is less, as for adjacent links.
+    """[m] distance up to which two links count as in contact: `MARGIN`, or half of the largest of
+    their `distances` (N,) [m] in N postures. The smaller value counts; for adjacent links: half.
     """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 

@@ -253,7 +253,7 @@ def _package_folders(package: str, *, folder: Path, named: Folders) -> Iterator[
 
 
 def _stated_name(folder: Path) -> str:
-    """The name in a folder's `package.xml`, or empty; a downloaded folder can have another name."""
+    """The name in a folder's `package.xml`, or "" without it; a download may rename the folder."""
     with suppress(OSError), (folder / "package.xml").open("rb") as file:
         text = re.sub(rb"<!--.*?-->", b"", file.read(1 << 16), flags=re.DOTALL)
         if found := re.search(rb"<name>\s*([\w.-]+)", text):

@@ -180,7 +180,7 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Geometry) -> bool:
 
 
 def _find_wheels(base: _Base, named: tuple[str, str] | None) -> Wheels:
-    """The `_drive` of the wheels on the two joints or links `named`, or of the lowest pair."""
+    """Result of `_drive` for the wheels on the joints or links `named`, or the lowest pair."""
     found = [j for j in base.tree.joints.values() if j.child in base.arm.base_links[1:]]
     turning, wheels, why = [*filter(turns_round, found)], list[_Wheel](), list[str]()
     for joint in turning:

@@ -86,7 +86,7 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
 def geometry_with_floor(
     model: RobotModel, floor: pin.GeometryObject, pairs: ContactPairs
 ) -> tuple[pin.GeometryModel, list[str]]:
-    """Geometry of bodies and a floor with pairs of shapes, and each pair's field of `Contacts`."""
+    """The bodies and a floor, with the pairs of their shapes; each pair's field of `Contacts`."""
     geometry, fields = model.geometry.copy(), list[str]()
     ids = {**model.shape_ids, FLOOR: [geometry.addGeometryObject(floor)]}
     for (a, b), field in pairs.items():

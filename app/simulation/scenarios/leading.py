@@ -78,7 +78,7 @@ class Scenario(ABC):
 
     @abstractmethod
     def driver(self, session: Session) -> Driver:
-        """Make the driver for a session at its start; without a door, this raises no error."""
+        """Make the driver for a session at its start; only with a door can this raise an error."""
 
     def changed(self, **changes: Any) -> Self:
         """A copy with `changes`; None is no change. An invalid change raises a ConfigError."""

@@ -93,7 +93,7 @@ class LineScenario(Scenario):
         return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed, move=move)
 
     def changed(self, **changes: Any) -> Self:
-        """As `Scenario.changed`; with a release, a new duration does not change the speed."""
+        """As `Scenario.changed`; with a `release_at`, a new duration does not change the speed."""
         duration, release = changes.get("duration"), changes.get("release_at")
         released = (self.release_at if release is None else release) is not None
         if released and isinstance(duration, int | float) and 0.0 < duration < math.inf:

@@ -22,8 +22,8 @@ _NOTHING = 5e-7  # [-] smaller magnitudes count as rounding errors
 def body(name: str, chain: Sequence[str]) -> str:
     """The displayed name of a body by its position in the chain, such as "base" or "forearm".
 
-    `chain` has the names of all bodies from the mobile base outwards, with a held door as `door`.
-    The four outermost bodies of the arm get such names; any other is "link", then its own name.
+    `chain` has the names of all bodies from the mobile base outwards; `door` is a held door and
+    keeps this name. Bodies of the arm before the outermost four are "link", then their own name.
     """
     if name == chain[0]:
         return "base"

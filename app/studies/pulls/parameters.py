@@ -73,7 +73,7 @@ class StudyRange(Strict):
     payload: Interval = (0.0, 1.0)
     """[kg] mass of the load at the end-effector that the controller's model includes."""
     sensor_delay: Interval = (0.0, 0.02)
-    """[s] age of all readings in a case with this fault."""
+    """[s] age of all readings, from fault_at on, in a case with this fault."""
     sensor_period: Interval = (0.0, 0.033)
     """[s] time between new readings in a case with this fault."""
     dropped: Interval = (0.0, 0.5)

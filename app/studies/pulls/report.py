@@ -75,7 +75,7 @@ _COLUMNS = {
     "arm_contacts": "arm contact [ms]",
     "solver_failures": "steps with the fallback command",
 }
-"""Titles of the columns in the table of failures."""
+"""Titles of the columns in the table of failures; a step with a contact counts as 1 ms."""
 _LARGEST = 0.3  # [m] end of the axes of distance
 _ERRORS = 1e-5, 1.0  # [m] ends of the axes of errors
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"

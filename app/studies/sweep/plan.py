@@ -108,7 +108,7 @@ class SweepPlan:
     above: bool = False
     """Include vertical paths down onto the base, one at each point of a grid over the base."""
     above_spacing: Annotated[float, (0.02, 1.0, "m")] = 0.15
-    """[m] largest spacing of the grid of --above."""
+    """[m] largest spacing of the vertical paths of --above."""
     length: Annotated[float, (0.01, 0.5, "m")] = 0.2
     """[m] length of each path."""
     hold: Annotated[float, (0.0, 60.0, "s")] = 3.0
