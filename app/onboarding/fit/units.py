@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import product, starmap
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -185,25 +185,26 @@ def shape_distances(
     return found
 
 
-def meshes_meet(model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array) -> Array:
-    """(N,) whether the meshes of two units touch in the postures q_m (N, n_m)."""
-    data, request = model.pin.createData(), coal.CollisionRequest()
-    first, second = (
-        [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
-        for u in (a, b)
-    )
+def meshes_meet(
+    model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array
+) -> tuple[list[tuple[str, str]], Array]:
+    """Pairs (link of a, link of b); (N, pairs) whether their meshes touch at q_m (N, n_m)."""
+    data, request, here = model.pin.createData(), coal.CollisionRequest(), coal.Transform3s()
+    pairs, links = [*product(a.links, b.links)], (*a.links, *b.links)
+    meshes = {link: [_triangles(shape.mesh) for shape in geometry[link].shapes] for link in links}
+    frames = {link: model.pin.getFrameId(link) for link in links}
 
-    def touch(one: tuple[int, Any], two: tuple[int, Any]) -> bool:
-        T = data.oMf[one[0]].actInv(data.oMf[two[0]])
-        at, here = coal.Transform3s(T.rotation, T.translation), coal.Transform3s()
-        return bool(coal.collide(one[1], here, two[1], at, request, coal.CollisionResult()))
+    def touch(one: str, two: str) -> bool:
+        T = data.oMf[frames[one]].actInv(data.oMf[frames[two]])
+        at, both = coal.Transform3s(T.rotation, T.translation), product(meshes[one], meshes[two])
+        return any(coal.collide(x, here, y, at, request, coal.CollisionResult()) for x, y in both)
 
-    found = []
-    for posture in q_m:
+    found = np.zeros((len(q_m), len(pairs)), dtype=bool)
+    for row, posture in zip(found, q_m, strict=True):
         q = model.configuration((0.0, 0.0, 0.0), posture)
         pin.framesForwardKinematics(model.pin, data, q)
-        found.append(any(starmap(touch, product(first, second))))
-    return np.array(found, dtype=bool)
+        row[:] = [*starmap(touch, pairs)]
+    return pairs, found
 
 
 def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
