@@ -24,6 +24,7 @@ from app.onboarding.fit.convex import (
     support,
     volume_of,
 )
+from app.robot.model import RobotModel
 from app.robot.shapes import hull_mesh, shape_mesh
 from tests.robots import husky_panda
 
@@ -139,6 +140,24 @@ def test_sweep_through_a_joint_is_computed_once(
     assert len(computed) == 4  # from 6 to 5 and from 5 to 8; the sweeps from 8 to 6 are stored
 
 
+def test_sweep_seen_from_one_joint_equals_that_of_all_joints(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Seen from joint 7, the links are swept only through the joints between them and joint 7."""
+    points = {j: np.random.default_rng(j).uniform(-0.1, 0.1, (40, 3)) for j in (5, 6, 7, 8)}
+    through, computed = bodies._through, []
+
+    def counted(model: RobotModel, data: bytes, joint: int, outwards: bool) -> np.ndarray:
+        computed.append((joint, outwards))
+        return through(model, data, joint, outwards)
+
+    monkeypatch.setattr(bodies, "_through", counted)
+    seen = swept(husky_panda(), points, [7])
+    assert computed == [(8, True), (6, False), (7, False)]
+    assert seen.keys() == {7}
+    np.testing.assert_array_equal(seen[7].corners, swept(husky_panda(), points)[7].corners)
+
+
 def test_sweep_encloses_the_links_in_all_positions_of_the_joints_between() -> None:
     """Points on links 5, 6 and 7 of the Panda, seen from link 6, in random postures."""
     model = husky_panda()
@@ -172,12 +191,20 @@ def test_base_parts_are_merged_with_the_least_added_volume(
     rng = np.random.default_rng(0)
     places = np.repeat([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 3.0, 3.0]], [3, 2, 2], axis=0)
     parts = [rng.uniform(-0.1, 0.1, (20, 3)) + place for place in places]
-    divisions = bodies._divided(parts)
+    model = RobotModel(husky_panda().description)
+    divisions = bodies._divided(model, parts)
     assert [len(groups) for groups in divisions] == [1, 2, 3, 4]
     centres = [group.corners.mean(axis=0) for group in divisions[2]]
     for place in np.unique(places, axis=0):
         assert min(np.abs(centre - place).max() for centre in centres) < 0.1
     assert len(seen) == len(set(seen)) == 7 + 21 + 5 + 4 + 3 + 2 + 1
+    again = bodies._divided(model, parts[:3] + parts[4:])
+    # Only the hulls with the merger of parts 3 and 4 are lost; groupings share all others.
+    assert len(seen) == len(set(seen)) < 43 + 6
+    alone = bodies._divided(RobotModel(model.description), parts[:3] + parts[4:])
+    for ours, theirs in zip(again, alone, strict=True):
+        for group, other in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(group.corners, other.corners)
 
 
 def test_convex_pieces_have_little_more_volume_than_the_mesh() -> None:

@@ -53,6 +53,7 @@ from app.onboarding.fit.meetings import (
     with_stops,
 )
 from app.onboarding.fit.postures import Place, Point
+from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.source import mesh_address
@@ -84,8 +85,11 @@ from tests.onboarding import (
     cube,
     few_postures,
     few_samples,
+    joint,
     line_without_a_run,
+    link,
     robot,
+    solid,
     with_mesh,
     write,
     zipped,
@@ -356,7 +360,10 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
     met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, counted=())
     posture = met.random.q_m
     hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
-    meshes = meshes_meet(model, base, hand, geometry, posture)
+    links, touching = meshes_meet(model, base, hand, geometry, posture)
+    assert ("base", "hand") in links
+    assert not touching[:, [pair != ("base", "hand") for pair in links]].all(axis=0).any()
+    meshes = touching.any(axis=1)
     assert hulls.sum() > 10
     assert not (meshes & ~hulls).any()
     assert meshes.sum() > 0.7 * hulls.sum()  # otherwise inside the base
@@ -366,7 +373,7 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
         for link, each in geometry.items()
     }
     hollow |= {link: geometry[link] for link in hand.links}
-    assert not meshes_meet(model, base, hand, hollow, posture).any()
+    assert not meshes_meet(model, base, hand, hollow, posture)[1].any()
 
 
 def test_arm_without_collisions_has_nothing_to_show(
@@ -846,6 +853,45 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         assert (pair in _close_pairs(meetings.random.distances, meetings.pairs, d_b)) == close
 
 
+def test_a_contact_with_a_held_head_names_the_head_and_its_joint(tmp_path: Path) -> None:
+    """A HSR's head, which follows the lift of its arm, was called `base_link`."""
+    box = solid('<box size="0.1 0.1 0.1"/>')
+    rail, mimic = 'lower="0" upper="0.4" effort="60" velocity="1"', '<mimic joint="rail"/>'
+    neck = joint("neck", "prismatic", "base", "head", xyz="0.15 0 0.65", limit=rail)
+    turn = joint("swing", "revolute", "carriage", "upper_arm", xyz="0.2 0 0", axis="0 1 0")
+    parts = [
+        *cart(),
+        link("carriage", box),
+        joint("rail", "prismatic", "base", "carriage", xyz="0.15 0 0.2", limit=rail),
+        link("head", box),
+        neck.replace("</joint>", f"{mimic}</joint>"),
+        link("eye", box),
+        joint("nod", "revolute", "head", "eye", xyz="0 0 0.3", axis="0 1 0"),
+        link("upper_arm", solid('<box size="0.1 0.1 0.1"/>', xyz="0.3 0 0")),
+        turn,
+    ]
+    path = write(tmp_path, robot(parts))
+    request = Request(urdf=str(path), base="base", tip="upper_arm", out=tmp_path / "toy")
+    parsed = parse(request)
+    path = write(tmp_path, rebased_urdf(parsed, name="toy", header="test"))
+    bare = compiled(description(request, parsed), path)
+    geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
+    units = make_units(bare, parsed.arm, geometry)
+    met = sample_meetings(bare, units, samples=400, seed=1, d_b=0.15, counted=())
+    count, rule = grouping._left_out(bare, met, (), geometry)
+    assert count > 20
+    assert rule.startswith("head and carriage (")
+    assert ", with neck held; none with rail from 0" in rule
+    for name in ("base", "eye", "wheel", "nod", "axle"):
+        assert name not in rule
+    held = grouping._held(parsed.tree, "eye", ("rail", "swing"))
+    assert held == "neck"
+    assert [grouping._held(parsed.tree, k, ("rail",)) for k in ("left_wheel", "carriage")] == [
+        "",
+        "",
+    ]
+
+
 def test_collision_of_a_fixed_part_counts_where_its_watched_pair_overlaps() -> None:
     """A mast belongs to l_m if no pair detects the mast's own collisions."""
     model = husky_panda()
@@ -990,10 +1036,10 @@ def test_warns_if_links_are_in_the_floor_or_in_the_base(made: NewRobot) -> None:
 def test_warns_if_meshes_have_another_scale_than_the_joints(made: NewRobot) -> None:
     def scaled(factor: float) -> NewRobot:
         geometry = dict(made.parsed.geometry)
-        for link, each in geometry.items():
+        for name, each in geometry.items():
             hulls = [s.hull.copy().apply_scale(factor) for s in each.shapes]
             shapes = (s._replace(hull=h) for s, h in zip(each.shapes, hulls, strict=True))
-            geometry[link] = each._replace(shapes=tuple(shapes))
+            geometry[name] = each._replace(shapes=tuple(shapes))
         return replace(made, parsed=replace(made.parsed, geometry=geometry))
 
     assert not any("meshes are too large" in reported for reported in warnings_of(scaled(1.0)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,29 @@ from app.border.reach import ReachMap, fit_reachability, lattice
 from app.errors import DescriptionError
 from app.onboarding.fit import units
 from app.onboarding.fit.bodies import ArmFitter
-from app.onboarding.fit.convex import directions
+from app.onboarding.fit.convex import directions, hull
 from app.onboarding.fit.grouping import _ranked
 from app.onboarding.fit.meetings import Meetings, Postures, _grazing
-from app.onboarding.fit.units import Part, Unit, neighbours, shape_distances, units_of_links
+from app.onboarding.fit.units import (
+    Part,
+    Unit,
+    hulls,
+    neighbours,
+    shape_distances,
+    units_of_links,
+)
 from app.onboarding.numbers import SHARES, best_fit
 from app.onboarding.read.links import LinkGeometry, LinkShape
 from app.onboarding.read.tree import Joint, Tree, extends
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from tests.robots import husky_panda
+
+
+class Chain:
+    """The part of a robot model that its units need."""
+
+    def __init__(self, model: pin.Model) -> None:
+        self.pin = model
 
 
 def chain(joints: list[Any]) -> Any:
@@ -31,7 +44,7 @@ def chain(joints: list[Any]) -> Any:
     parent = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
     for k, joint in enumerate(joints):
         parent = model.addJoint(parent, joint, pin.SE3.Identity(), f"joint_{k}")
-    return SimpleNamespace(pin=model)
+    return Chain(model)
 
 
 def unit(joint: int) -> Unit:
@@ -230,6 +243,19 @@ def test_shape_distances_agree_with_the_library_up_to_half_a_metre(
     assert not near.all()
     np.testing.assert_allclose(ours[near], theirs[near], atol=1e-5)
     assert (ours[~near] >= 0.5 - 1e-5).all()
+    closer = shape_distances(model, groups, pairs, q_m, 0.1)
+    near = theirs < 0.1
+    np.testing.assert_allclose(closer[near], theirs[near], atol=1e-5)
+    assert (closer[~near] >= 0.1 - 1e-5).all()
+
+
+def test_hull_of_a_part_is_built_once() -> None:
+    """The search for rare contacts needs the hulls of two units hundreds of times."""
+    corners = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
+    part = Part("link", corners, np.zeros(0))
+    (one,), (two,) = (hulls(unit(2)._replace(parts=(each,))) for each in (part, part._replace()))
+    assert one[2] is two[2]
+    assert one[2].computeVolume() == pytest.approx(hull(corners).volume)
 
 
 def test_a_fit_that_is_worse_than_a_constant_uses_more_of_the_reachability() -> None:

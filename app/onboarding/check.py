@@ -65,14 +65,12 @@ def check_robot(
     """All checks of a description; each row is yielded when its check ends.
 
     A check that ends with an error fails, and its row has the message. If the model or the border
-    fails, the checks that need it are left out. The last row is a failed row `guiding` if `runs` is
-    true and the robot has pairs of arm and base, but each guiding run ends with an error, cannot
-    start or has "nothing to show".
+    fails, the checks that need it are left out. With `runs` and pairs of arm and base, the last row
+    is a failed row `guiding` if each run ends with an error, cannot start or has "nothing to show".
 
     `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
-    called with the name of each step before it begins. `processes` (default: the number of usable
-    cores) sample the border. `sampling` has the parameters of a coarser border; None means the
-    complete border.
+    called with the name of each step before it begins. `processes` (default: one for each usable
+    core) sample the border. `sampling` has the parameters of a coarser border; None: the complete.
     """
     tell("loading the robot")
     try:
@@ -163,9 +161,7 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check that speed and torque limits are plausible and each joint moves an inertia; warn if a
-    torque limit is too small for gravity in a random posture.
-    """
+    """Check limits and moved inertias; warn if a torque limit is below gravity in some posture."""
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
@@ -192,9 +188,7 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Warn of nested links that touch in no random posture, or that overlap by more than 3 mm, but
-    touch in fewer than 25 % of the random postures.
-    """
+    """Warn of nested links that never touch, or overlap by over 3 mm in under 25 % of postures."""
     by_body = units_of_links(model, _geometry(model))
     shapes = link_shapes([unit for units in by_body.values() for unit in units])
     named = sorted((min(pair), max(pair)) for pair in model.description.nested)
@@ -345,12 +339,10 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that the border of each pair with l_m has points at the heights that the arm reaches,
-    from the floor to the top of l_m.
+    """Check that each border has points at all heights, up to the top of l_m, that the arm reaches.
 
     The check fails if all borders are empty. It warns if no pair has l_m, or if a border has a gap
-    between its lowest and its highest point. Below and above these points, the exact offset of l_m
-    replaces the border.
+    between its lowest and its highest point. Outside of these, the exact offset of l_m replaces it.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"

@@ -184,8 +184,7 @@ def _embodied(
     smallest `Detection.undetected`. It has the joint limits of `with_stops` and, if `request.d_b`
     is None, the buffer distance of `watching_buffer`.
 
-    A RobotFileError is raised if each fit has a pair in `Detection.blind`, or as for `with_stops`
-    or `find_grouping`.
+    A RobotFileError is raised if all fits have `blind` pairs, or as for the called functions.
     """
     work.tell("sampling random postures")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)

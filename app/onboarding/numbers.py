@@ -84,14 +84,10 @@ def read_limits(tree: Tree, arm: Arm) -> Limits:
         "max_velocity": grouped({name: "" if v else _SPEEDS for name, v in speeds.items()}),
         "max_effort": {},
     }
-    return Limits(
-        lower=tuple(limit for limit, _ in lower.values()),
-        upper=tuple(limit for limit, _ in upper.values()),
-        velocity=tuple(speeds[joint.name] or _SPEED[joint.kind] for joint in arm.joints),
-        effort=tuple(_within(joint.effort, 1e5) for joint in arm.joints),
-        assumed=assumed,
-        stops={},
-    )
+    low, high = (tuple(limit for limit, _ in side.values()) for side in (lower, upper))
+    velocity = tuple(speeds[joint.name] or _SPEED[joint.kind] for joint in arm.joints)
+    effort = tuple(_within(joint.effort, 1e5) for joint in arm.joints)
+    return Limits(low, high, velocity, effort, assumed, stops={})
 
 
 def grouped(whys: Mapping[str, str]) -> dict[str, list[str]]:

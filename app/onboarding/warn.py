@@ -229,9 +229,7 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of the signed distances of points to the meshes of a body's shapes. The
-    points (N, 3) [m] are in the frame of the body's joint.
-    """
+    """(N,) [m] lower bounds of signed distances of points (N, 3) in a body's joint frame to it."""
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
         own = moved(points, model.geometry.geometryObjects[k].placement.inverse())

@@ -94,8 +94,7 @@ BY_HAND = "set by hand"  # source of a number that a person has changed
 def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     """Write a robot's folder with changes; all other content stays the same.
 
-    If `out` is the folder `source`, the changes are made in place. Another folder becomes a copy
-    with a new name and title.
+    `out` is the folder `source` itself, or a new folder for a copy with a new name and title.
 
     Raises:
         DescriptionError: The present description cannot be read, the change exceeds the time or
@@ -185,10 +184,9 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     """The text of the new URDF.
 
     The root is a frame on the floor with x forward; below it are the base and all its descendants.
-    A link without collision shapes gets its visual shapes as collision shapes. So that all
-    libraries read the same robot, a continuous joint becomes a revolute joint with wide limits, and
-    a planar or floating joint becomes fixed. `header` becomes a comment. `home` is the folder of
-    the new URDF; see `mesh_name`.
+    A link without collision shapes gets its visual shapes as collision shapes. For all libraries to
+    read the same robot, a continuous joint becomes revolute with wide limits, a planar or floating
+    one fixed. `header` becomes a comment; `home` is the new URDF's folder (`mesh_name`).
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -214,9 +212,8 @@ def mesh_name(address: str, home: Path | None) -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
     `home` is the folder of the new URDF; without it, the address does not change. A mesh in this
-    folder gets a relative path, because the folder may be moved. A mesh for which `is_foreign` is
-    true is first converted to an STL file in metres in `home`; the conversion raises the errors of
-    `load_mesh`. Other meshes keep their address.
+    folder gets a relative path, so that the folder can be moved. An `is_foreign` mesh is converted
+    to an STL file in metres in `home`, with the errors of `load_mesh`. Others keep their address.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -242,8 +239,7 @@ def in_pieces_urdf(urdf: str, geometry: Geometry, home: Path) -> tuple[str, Geom
 
     A shape of several pieces is written to an OBJ file in `home`, the folder of the URDF, with an
     object for each piece. The URDF names this file, and the engines use the hull of each object.
-    Files of `MESH_FOLDER` that the text does not name, such as a converted mesh that is now in
-    pieces, are removed.
+    Files of `MESH_FOLDER` that the new text does not name are removed.
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     tree, cut = ElementTree.fromstring(urdf, parser), dict(geometry)
@@ -339,8 +335,7 @@ def description(
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
-    joints' ranges. Without `bodies`, the bodies are small spheres. `unwatched` has the reasons for
-    the pairs that are not monitored, by name.
+    ranges. Without `bodies`, these are small spheres. `unwatched` has why pairs have no monitoring.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)

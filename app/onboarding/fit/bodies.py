@@ -1,6 +1,6 @@
 """The bodies of a description: convex shapes around units (links that move as one rigid body)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations, product
 from types import MappingProxyType
 from typing import NamedTuple
@@ -49,7 +49,7 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     corners = [part.corners for k in mobile for part in units[k].parts]
     tried = [
         [fit_best(around, {kind: 1.0}) for around in groups]
-        for groups in _divided(corners)
+        for groups in _divided(model, corners)
         for kind in ("box", "hull")
     ]
     free = (meetings.random.distances > 0.0).all(axis=1)
@@ -68,11 +68,11 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     return FittedBody("lm", units[0].frame, links, mobile, tuple(fits))
 
 
-def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
+def _divided(model: RobotModel, corners: Sequence[Array]) -> list[list[PointHull]]:
     """Divisions of parts into one to four groups, as lists of the groups' hulls. The merger of the
     two groups whose common hull adds the least volume makes a division with one group less.
     """
-    groups = {k: hull(points) for k, points in enumerate(corners)}
+    groups = {k: _hull(model, points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
     divisions: list[list[PointHull]] = []
     for new in range(len(groups), 2 * len(groups)):
@@ -83,12 +83,22 @@ def _divided(corners: Sequence[Array]) -> list[list[PointHull]]:
         for pair in combinations(groups, 2):
             if pair not in known:
                 a, b = (groups[k] for k in pair)
-                merged = hull(np.vstack([a.corners, b.corners]))
+                merged = _hull(model, a.corners, b.corners)
                 known[pair] = merged.volume - a.volume - b.volume, merged
         i, j = min(combinations(groups, 2), key=lambda pair: known[pair][0])
         groups[new] = known[i, j][1]
         del groups[i], groups[j]
     return divisions
+
+
+def _hull(model: RobotModel, *points: Array) -> PointHull:
+    """The convex hull of points (N, 3) [m]; many groupings of a robot's links need the same one."""
+    return _hull_of(model, np.vstack(points).tobytes())
+
+
+@kept_per_model(2048)
+def _hull_of(_: RobotModel, data: bytes) -> PointHull:
+    return hull(np.frombuffer(data).reshape(-1, 3))
 
 
 class ArmFitter:
@@ -104,8 +114,7 @@ class ArmFitter:
         """The bodies l_1 … l_EE for groups of units, from the base outwards.
 
         A body encloses the points of its links that units of bodies other than its neighbours can
-        reach. If there are no such points, or if they sweep less than 1 cm³ as the body's joints
-        move, the body encloses its links completely.
+        reach. If there are none, or they sweep less than 1 cm³ as its joints move, it encloses all.
 
         Raises:
             RobotFileError: The links of a group have no shapes, or sweep less than 1 cm³.
@@ -157,10 +166,9 @@ class ArmFitter:
             return None
         fits = [(fit_best(around, ARM_WEIGHTS), joint) for joint, around in tried[:2]]
         one, frame = min(fits, key=lambda each: each[0].volume)
-        seen = [swept(self._model, {**none, j: p})[frame].corners for j, p in pieces]
-        several = min(
-            _divided(seen), key=lambda each: sum(h.volume for h in each) / _LEFT ** (len(each) - 1)
-        )
+        seen = [swept(self._model, {**none, j: p}, [frame])[frame].corners for j, p in pieces]
+        ways = _divided(self._model, seen)
+        several = min(ways, key=lambda way: sum(h.volume for h in way) / _LEFT ** (len(way) - 1))
         if len(several) == 1:
             return (one,), frame
         return tuple(fit_best(around, ARM_WEIGHTS) for around in several), frame
@@ -182,20 +190,23 @@ _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a polygon's circumscribed to its inscribed radius
 
 
-def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, PointHull]:
+def swept(
+    model: RobotModel, points: Mapping[int, Array], frames: Collection[int] | None = None
+) -> dict[int, PointHull]:
     """For each joint: a hull, in the joint's frame, around all points at all joint positions.
 
     `points` has, by joint, points (N, 3) [m] in the joint's frame; the numbers are consecutive.
+    `frames` has some of these joints, not none; only these get a hull (default: all).
     """
-    first, last = min(points, default=0), max(points, default=0)
+    first, last, frames = min(points), max(points), frames or points.keys()
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
-    for joint in range(last, first, -1):
+    for joint in range(last, min(frames), -1):
         beyond = np.vstack([points[joint], outer[joint]])
         outer[joint - 1] = _through(model, beyond.tobytes(), joint, True)
-    for joint in range(first, last):
+    for joint in range(first, max(frames)):
         before = np.vstack([points[joint], inner[joint]])
         inner[joint + 1] = _through(model, before.tobytes(), joint + 1, False)
-    return {k: hull(np.vstack([own, outer[k], inner[k]])) for k, own in points.items()}
+    return {k: _hull(model, points[k], outer[k], inner[k]) for k in frames}
 
 
 @kept_per_model(256)

@@ -63,8 +63,7 @@ def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
     The polytope has a face for each of 642 directions, evenly spread after scaling the points to
-    equal widths along their principal axes. It exceeds a round hull by about 0.2 % of the hull's
-    extent, and by more at edges.
+    equal widths along principal axes. It exceeds a round hull by 0.2 % of its size, edges by more.
     """
     corners, D = hull(points).corners, directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many
@@ -128,8 +127,7 @@ def fit_box(points: Array) -> Box:
 
 def fit_hull(points: Array) -> Hull | Box:
     """A polytope around points (N, 3) [m] with a face for each of 42 directions, or a box if qhull
-    finds no polytope. The frame of a polytope is at the centre of the points' bounding box, with z
-    along their first principal axis.
+    finds none. Its frame is at the centre of their bounding box, z along the first principal axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]

@@ -35,7 +35,11 @@ from app.onboarding.fit.units import (
     units_of_links,
 )
 from app.onboarding.read.links import Geometry
+from app.onboarding.read.source import read_source
+from app.onboarding.read.tree import MOVING, Tree, make_tree
+from app.onboarding.read.wheels import turns_round
 from app.onboarding.request import BOUNDS
+from app.robot.assets import urdf_path
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.strict import Array
@@ -86,11 +90,10 @@ def find_grouping(
     The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If the
     pairs then miss over 0.1 % of its collisions, as for a mast, it belongs to l_m instead.
 
-    `count` is the number of bodies of the arm. None means four, as in the paper, if these are
-    sufficient, and otherwise the best number from two to six. Four are not sufficient if
-    `Verdict.always` or `Verdict.spurious` has a pair, or if `Verdict.missed` is over 0.1 %. If
-    possible, the bodies of the two links of each entry in `separate` are a pair. `on_progress` is
-    called with the finished share of each search.
+    `count` is the number of bodies of the arm. None means four, as in the paper, if sufficient, and
+    otherwise the best number from two to six. Four are not sufficient if `Verdict.always` or
+    `Verdict.spurious` has a pair, or if `Verdict.missed` is over 0.1 %. If possible, the bodies of
+    both links of each entry in `separate` are a pair. `on_progress` gets the share of each search.
 
     Raises:
         RobotFileError: No grouping has `count` bodies; or as for `ArmFitter.bodies`.
@@ -223,9 +226,7 @@ class Detection(NamedTuple):
     watched: int  # collisions of links whose bodies are a pair, once for each pair and posture
     missed: int  # number of the `watched` collisions in which the bodies do not overlap
     deepest: float  # [m] largest distance of the bodies in a missed collision; 0 without one
-    blind: tuple[str, ...]
-    """Pairs whose bodies miss more than half of the collisions of their links, in the random and
-    the `rare` postures of `Meetings` together."""
+    blind: tuple[str, ...]  # pairs that miss over half of their links' random and rare collisions
     unseen: dict[tuple[str, str], float]
     """[-] share of all random postures, by the two links that meet in the undetected postures. Of
     the links of two units, only the two that come nearest are included."""
@@ -234,8 +235,8 @@ class Detection(NamedTuple):
     close by design. It is extrapolated if more than 300 postures qualify."""
     rule: str
     """Up to four pairs of links that meet in the `left_out` postures, the most frequent first, with
-    their share of all random postures. If possible, each has a d_b with which a pair of bodies
-    detects the contacts, and a joint range without contacts."""
+    their share of all random postures and the held joints that carry them. If possible, each has a
+    d_b with which a pair of bodies detects the contacts, and a joint range without contacts."""
 
     @property
     def share(self) -> float:
@@ -286,7 +287,7 @@ def detection_of(
     for k in np.flatnonzero(hits[undetected].any(axis=0)):  # few postures: meshes are compared
         rows = np.flatnonzero(undetected & hits[:, k])
         a, b = (units[u] for u in met.pairs[k])
-        hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])
+        hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])[1].any(axis=1)
     undetected &= hits.any(axis=1)
     owners = [{owner[u], owner[v]} if (u, v) not in met.close else set() for u, v in met.pairs]
     own = np.array([[each == set(pair) for each in owners] for pair in pairs], dtype=bool)
@@ -339,19 +340,34 @@ def _left_out(
     rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
     looked = rows[:: -(-len(rows) // 300)] if len(rows) else rows
     real, both = touch[looked], [(units[u], units[v]) for u, v in (*near, *beside)]
+    scale, found = len(rows) / max(1, len(looked)), []
     for k, (a, b) in enumerate(both):  # hulls of adjacent links often overlap
         own = touch[looked, k]
-        real[own, k] = meshes_meet(model, a, b, geometry, q_m[looked[own]])
-    scale = len(rows) / max(1, len(looked))
-    shares = real.sum(axis=0) * scale / len(q_m)
-    said = []
-    for k in [k for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:4]:
+        links, meet = meshes_meet(model, a, b, geometry, q_m[looked[own]])
+        real[own, k] = meet.any(axis=1)
+        shares = meet.sum(axis=0) * scale / len(q_m)
+        found += [(-share, k, pair) for pair, share in zip(links, shares, strict=True) if share > 0]
+    said, tree = [], make_tree(read_source(urdf_path(model.description))[0])
+    arm = model.description.arm.joints
+    for share, k, pair in sorted(found, key=itemgetter(0))[:4]:
         (a, b), touching = both[k], gaps[:, k] <= contact_margin(gaps[:, k])
         free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
         if k < len(near) and near[k] not in met.grazing:
             free = met.detectable(near[k]) + free
-        said.append(f"{a.name} and {b.name} ({shares[k]:.1%}{free})")
+        if held := " and ".join(filter(None, (_held(tree, link, arm) for link in pair))):
+            free = f", with {held} held{free}"
+        said.append(f"{pair[0]} and {pair[1]} ({-share:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
+
+
+def _held(tree: Tree, link: str, arm: Sequence[str]) -> str:
+    """The innermost held joint that moves a link, or empty; not a joint that `turns_round`."""
+    name = ""
+    while (joint := tree.joint_of.get(link)) and joint.name not in arm:
+        if joint.kind in MOVING and not turns_round(joint):
+            name = joint.name
+        link = joint.parent
+    return name
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:

@@ -16,10 +16,12 @@ from app.onboarding.fit.units import (
     Pairs,
     Unit,
     hull_distances,
+    hulls,
     link_gaps,
     moved,
     neighbours,
     placements,
+    shape_distances,
 )
 from app.onboarding.numbers import Limits
 from app.onboarding.read.tree import Arm
@@ -48,7 +50,7 @@ class Postures(NamedTuple):
     """Postures of the arm, with the distances of pairs of units."""
 
     q_m: Array  # (N, n_m) [rad or m]
-    distances: Array  # (N, pairs) [m] signed distances of hulls
+    distances: Array  # (N, pairs) [m] signed, of hulls; in `rare`, exact only below `MARGIN`
     possible: Array
     """(N,) whether no close pair touches; contacts of nested pairs do not count. The real robot's
     joint limits have to prevent the other postures."""
@@ -151,7 +153,7 @@ def sample_meetings(
         if hits >= enough or len(q_m) >= 40_000:
             break
     rare_q = _rare_postures(model, found, seed)
-    gaps = hull_distances(model, units, pairs, rare_q)
+    gaps = shape_distances(model, [hulls(unit) for unit in units], pairs, rare_q, MARGIN)
     graze = _grazing(units, pairs, distances, gaps).difference(counted or ())
     barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
     random, rare = (
@@ -271,9 +273,8 @@ def with_stops(
     """Joint limits that, if possible, prevent contact of the base with links close to it by design.
 
     For each of these links that touches the base in a random posture, one joint before the link
-    gets narrower limits: the joint that retains the largest share of its range. If no joint retains
-    a quarter of its range, or of a turn if this is less, no limit changes. `ready` (n_m,) is a
-    posture that the limits have to include, or None.
+    gets narrower limits: the one that keeps most of its range. If none keeps a quarter of its
+    range, or of a turn if less, no limit changes. The limits include `ready` (n_m,) if not None.
 
     Raises:
         RobotFileError: Limits can prevent the contact, but none of them includes `ready`.
@@ -321,9 +322,8 @@ def contact_margin(distances: Array) -> float:
 
 
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
-    """A buffer distance [m] with which pairs of bodies detect collisions that no limit prevents. It
-    is `d_b` with an empty text, or a smaller multiple of 0.01 m with its reason. Collisions that no
-    valid value of `border.d_b` makes detectable are ignored.
+    """`d_b` [m] and an empty text, or a smaller multiple of 0.01 m and its reason. It lets pairs of
+    bodies detect collisions that no limit prevents, unless these need an invalid `border.d_b`.
     """
     least, why = d_b, ""
     lower, upper = np.array(limits.lower), np.array(limits.upper)

@@ -60,10 +60,9 @@ def with_travel(
 ) -> dict[str, LinkGeometry]:
     """Geometry in which each link below `carrier` has shapes that cover its sampled positions.
 
-    `leaders`, by default all moving joints below `carrier`, move through their ranges: first one at
-    a time with the others at rest (`held_at`), then all at the same share of their ranges. Mimic
-    joints follow. The shapes are in the frames of the links at rest. Links beyond the joints in
-    `without` do not change.
+    `leaders` (default: all moving joints below `carrier`) move through their ranges: first one at a
+    time with the others at rest (`held_at`), then all at the same share. Mimic joints follow. The
+    shapes are in the frames of the links at rest. Links beyond the joints `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]

@@ -1,8 +1,9 @@
 """Units: groups of links that move as one rigid body, and distances between their hulls."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import product, starmap
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -18,9 +19,9 @@ from app.robot.shapes import convex_hull
 from app.strict import Array
 
 Pairs = Sequence[tuple[int, int]]
+_Of = tuple[str, tuple[str, ...], int, bool]  # `frame`, `links`, `joint` and `beside` of a unit
 
 _THIN_OUT = 500  # [-] largest number of points on a unit's surface, without the outermost points
-_EXACT = 0.5  # [m] distance below which distances are exact even with many shapes
 _MANY = 150  # [-] number of pairs of shapes from which bounding spheres save time
 
 
@@ -63,7 +64,7 @@ def make_units(model: RobotModel, arm: Arm, geometry: Geometry) -> tuple[Unit, .
             wanted.append((joint.child, beside, k, True))
             links = tuple(link for link in links if link not in beside)
         wanted.append((joint.child, links, k, False))
-    return tuple(_unit(model, geometry, k, *each) for k, each in enumerate(wanted))
+    return tuple(_unit(model, geometry, k, each) for k, each in enumerate(wanted))
 
 
 def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit]]:
@@ -78,19 +79,12 @@ def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit
     for index, (name, frame, k) in enumerate(groups):
         links = tuple(link for body, link in covered if body.name == name and joint[link] == k)
         beside = k > 1 and last[k] != name
-        found[name].append(_unit(model, geometry, index, frame, links, k, beside))
+        found[name].append(_unit(model, geometry, index, (frame, links, k, beside)))
     return found
 
 
-def _unit(
-    model: RobotModel,
-    geometry: Geometry,
-    index: int,
-    frame: str,
-    links: tuple[str, ...],
-    joint: int,
-    beside: bool,
-) -> Unit:
+def _unit(model: RobotModel, geometry: Geometry, index: int, of: _Of) -> Unit:
+    frame, links, joint, beside = of
     parts, surface, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     D = directions(2)
     for k, link in enumerate(links):
@@ -137,15 +131,16 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
 
 Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
 """A shape: its joint's number in pinocchio, its pose in the joint's frame, its geometry."""
+Groups = Sequence[Sequence[Placed]]
 
 
 def shape_distances(
-    model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
+    model: RobotModel, groups: Groups, pairs: Pairs, q_m: Array, exact: float = 0.5
 ) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
     `pairs` are pairs of groups by their indices; q_m (N, n_m) are the joint positions. With 150 or
-    more pairs of shapes, only distances below 0.5 m are exact; larger ones give at least 0.5 m.
+    more pairs of shapes, only distances below `exact` [m] are exact; others give at least `exact`.
     """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
@@ -153,25 +148,22 @@ def shape_distances(
         for k, (joint, T, shape) in enumerate(group, first):
             geometry.addGeometryObject(pin.GeometryObject(f"shape_{k}", joint, 0, T, shape))
         ids.append(range(first, geometry.ngeoms))
-    starts, shapes = [], []
-    for a, b in pairs:
-        starts.append(len(shapes))
-        shapes += product(ids[a], ids[b])
-    for i, j in shapes:
+    shapes = [(k, *ij) for k, (a, b) in enumerate(pairs) for ij in product(ids[a], ids[b])]
+    for _, i, j in shapes:
         geometry.addCollisionPair(pin.CollisionPair(i, j))
     found = np.empty((len(q_m), len(pairs)))
     if not shapes:
         return found
     placed, data = pin.GeometryData(geometry), model.pin.createData()
-    results = [placed.distanceResults[k] for k in range(len(shapes))]
+    results = [*placed.distanceResults]
     spheres = []  # bounding spheres: joint, centre in its frame, radius
     for shape in geometry.geometryObjects:
         shape.geometry.computeLocalAABB()
         centre = shape.placement.act(shape.geometry.aabb_center)
         spheres.append((shape.parentJoint, centre, shape.geometry.aabb_radius))
     joints, centres, radii = map(np.array, zip(*spheres, strict=True))
-    first, second = np.array(shapes).T
-    ends = [*starts[1:], len(shapes)]
+    own, first, second = np.array(shapes).T  # number of the pair, numbers of both shapes
+    starts = np.flatnonzero(np.diff(own, prepend=-1))
     for row, posture in zip(found, q_m, strict=True):
         q = model.configuration((0.0, 0.0, 0.0), posture)
         pin.updateGeometryPlacements(model.pin, data, geometry, placed, q)
@@ -183,35 +175,36 @@ def shape_distances(
         at = np.einsum("nij,nj->ni", T[:, :3, :3], centres) + T[:, :3, 3]
         least = np.linalg.norm(at[first] - at[second], axis=1) - radii[first] - radii[second]
         row[:] = np.minimum.reduceat(least, starts)
-        for k in np.flatnonzero(row < _EXACT):
-            nearest = np.inf
-            for i in starts[k] + np.argsort(least[starts[k] : ends[k]]):
-                if least[i] >= min(nearest, _EXACT):
-                    break
-                nearest = min(nearest, pin.computeDistance(geometry, placed, int(i)).min_distance)
-            row[k] = nearest
+        near, known = row < exact, np.full(len(shapes), np.inf)
+        limit = np.where(near, row, -np.inf)
+        for _ in range(2):  # first the two shapes with the smallest bound, then all that are nearer
+            for k in np.flatnonzero(least <= limit[own]).tolist():
+                known[k], least[k] = pin.computeDistance(geometry, placed, k).min_distance, np.inf
+            limit = np.minimum(np.minimum.reduceat(known, starts), exact)
+        row[near] = np.minimum.reduceat(known, starts)[near]
     return found
 
 
-def meshes_meet(model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array) -> Array:
-    """(N,) whether the meshes of two units touch in the postures q_m (N, n_m)."""
-    data, request = model.pin.createData(), coal.CollisionRequest()
-    first, second = (
-        [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
-        for u in (a, b)
-    )
+def meshes_meet(
+    model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array
+) -> tuple[list[tuple[str, str]], Array]:
+    """Pairs (link of a, link of b); (N, pairs) whether their meshes touch at q_m (N, n_m)."""
+    data, request, here = model.pin.createData(), coal.CollisionRequest(), coal.Transform3s()
+    pairs, links = [*product(a.links, b.links)], (*a.links, *b.links)
+    meshes = {link: [_triangles(shape.mesh) for shape in geometry[link].shapes] for link in links}
+    frames = {link: model.pin.getFrameId(link) for link in links}
 
-    def touch(one: tuple[int, Any], two: tuple[int, Any]) -> bool:
-        T = data.oMf[one[0]].actInv(data.oMf[two[0]])
-        at, here = coal.Transform3s(T.rotation, T.translation), coal.Transform3s()
-        return bool(coal.collide(one[1], here, two[1], at, request, coal.CollisionResult()))
+    def touch(one: str, two: str) -> bool:
+        T = data.oMf[frames[one]].actInv(data.oMf[frames[two]])
+        at, both = coal.Transform3s(T.rotation, T.translation), product(meshes[one], meshes[two])
+        return any(coal.collide(x, here, y, at, request, coal.CollisionResult()) for x, y in both)
 
-    found = []
-    for posture in q_m:
+    found = np.zeros((len(q_m), len(pairs)), dtype=bool)
+    for row, posture in zip(found, q_m, strict=True):
         q = model.configuration((0.0, 0.0, 0.0), posture)
         pin.framesForwardKinematics(model.pin, data, q)
-        found.append(any(starmap(touch, product(first, second))))
-    return np.array(found, dtype=bool)
+        row[:] = [*starmap(touch, pairs)]
+    return pairs, found
 
 
 def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
@@ -234,7 +227,13 @@ def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
 
 def hulls(unit: Unit) -> list[Placed]:
     """The hulls of a unit's parts."""
-    return [(unit.joint, pin.SE3.Identity(), convex_hull(part.corners)) for part in unit.parts]
+    shapes = (_hull_of(part.corners.tobytes()) for part in unit.parts)
+    return [(unit.joint, pin.SE3.Identity(), shape) for shape in shapes]
+
+
+@lru_cache(512)
+def _hull_of(data: bytes) -> coal.CollisionGeometry:
+    return convex_hull(np.frombuffer(data).reshape(-1, 3))
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:

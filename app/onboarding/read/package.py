@@ -133,9 +133,8 @@ def _path(info: zipfile.ZipInfo) -> PurePosixPath:
 
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip into a robot's folder; return the file of its URDF, with relative mesh paths.
-    `file` is the path of the URDF in the zip, or None for the only URDF. A RobotFileError is raised
-    as for `unpack`, if the URDF or one of its meshes is not in the zip or cannot be read, or if the
-    zip has several URDFs and `file` is None.
+    `file` is its path in the zip, or None for the only URDF. A RobotFileError is raised as for
+    `unpack`, if the URDF or a mesh is not in the zip or cannot be read, or if `file` is needed.
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):

@@ -88,10 +88,9 @@ def read_source(
 ) -> tuple[Element, Collection[str]]:
     """The `<robot>` of a URDF or xacro, and the names of arguments that a xacro declares or uses.
 
-    The content decides whether the file is a xacro. Attributes lose blanks at both ends, and
-    elements lose the namespace of `<robot>`. A RobotFileError is raised if the file is not
-    well-formed XML, declares entities or is not a robot, if its macros cannot be expanded, or if it
-    is a xacro and `arguments` is None.
+    The content decides whether the file is a xacro. Attributes lose blanks at both ends, elements
+    the namespace of `<robot>`. A RobotFileError is raised if the file is not well-formed XML, has
+    entities or is no robot, if macros cannot be expanded, or if a xacro has `arguments` None.
     """
     text, known = xml_text(path), frozenset[str]()
     robot = _plain_xml(text)

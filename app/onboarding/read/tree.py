@@ -234,10 +234,9 @@ class Arm(NamedTuple):
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """Find the arm between the links `base` and `tip`.
 
-    With `mount` None, the mount is the parent link of the arm's first joint; if this parent is the
-    base, the mount is the child link of this joint. A RobotFileError names the wrong option if a
-    link does not exist, if the joints between the two links do not form an arm, or if an ancestor
-    of `base` has shapes or other children.
+    With `mount` None, the mount is the parent link of the arm's first joint, or this joint's child
+    if the parent is the base. A RobotFileError names the wrong option if a link does not exist, if
+    the joints between both are no arm, or if an ancestor of `base` has shapes or other children.
     """
     tree.check_link(base, "--base")
     tree.check_link(tip, "--tip")
