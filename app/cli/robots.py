@@ -73,8 +73,8 @@ def check_robot(
     status is 0 if no check fails, otherwise 1.
 
     Args:
-        runs: Simulate the guiding runs, in which a person pulls the end-effector towards the base;
-            they take most of the time.
+        runs: Simulate the guiding runs: a person pulls the end-effector towards the base. They take
+            most of the time.
         quick: Sample a coarse border in seconds, as `dbb new-robot --quick` does, instead of the
             complete border.
     """

@@ -70,7 +70,7 @@ def check_robot(
 
     `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
     called with the name of each step before it begins. `processes` (default: one for each usable
-    core) sample the border. `sampling` has the parameters of a coarser border; None: the complete.
+    core) sample the border, a complete one, or with the parameters `sampling` a coarser one.
     """
     tell("loading the robot")
     try:

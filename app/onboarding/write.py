@@ -335,7 +335,8 @@ def description(
 
     `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
     the base and missing efforts are 1, the damping is 0, and the ready posture is the middle of the
-    ranges. Without `bodies`, these are small spheres. `unwatched` has why pairs have no monitoring.
+    joints' ranges. Without `bodies`, the bodies are small spheres. `unwatched` has the pairs that
+    are not monitored, with the reasons.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels)

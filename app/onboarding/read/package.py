@@ -134,7 +134,8 @@ def _path(info: zipfile.ZipInfo) -> PurePosixPath:
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip into a robot's folder; return the file of its URDF, with relative mesh paths.
     `file` is its path in the zip, or None for the only URDF. A RobotFileError is raised as for
-    `unpack`, if the URDF or a mesh is not in the zip or cannot be read, or if `file` is needed.
+    `unpack`, if the URDF or a mesh is not in the zip or cannot be read, or if the zip has several
+    URDFs and `file` is None.
     """
     root = (folder / FOLDER).resolve()
     with named_part(archive.name):
