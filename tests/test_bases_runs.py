@@ -67,14 +67,19 @@ def test_the_contact_plant_refuses_other_bases_and_names_alternatives(kind: str)
         make_physics("mujoco-contact", robot_on(kind))
 
 
-def test_an_unread_steering_angle_is_a_fault_with_finite_commands() -> None:
+@pytest.mark.parametrize("angle", [np.nan, np.inf, -np.inf])
+def test_an_unread_steering_angle_is_a_fault_with_finite_commands(angle: float) -> None:
     robot = robot_on("car-like")
     loop = ControlLoop(robot, border("car-like"))
     good = at_rest(robot, np.array(robot.description.arm.ready_position))
-    assert loop.step(good).step.solved
-    unread = good._replace(drive=np.array([np.nan]))
+    good = good._replace(base_velocity=np.array([0.5, 0.0]))
+    step = loop.step(good).step
+    assert step.solved
+    a_base = step.a_base_meas.copy()
+    unread = good._replace(drive=np.array([angle]))
     for k in range(150):  # the state is predicted for 0.1 s, then the fallback command follows
         command = loop.step(unread)
+        np.testing.assert_array_equal(command.step.a_base_meas, a_base)
         assert "invalid" in command.faults, k
         assert np.isfinite(command.u_a).all()
         assert np.isfinite(command.base_velocity).all()

@@ -1145,6 +1145,12 @@ def test_input_of_a_comparison_that_another_viewer_has_chosen_is_shown(dashboard
         assert panel._input.value == INPUTS["path"]
         loop.send(Compare(("none",), "force"))
         wait_for(lambda: panel._input.value == INPUTS["force"])
+        loop.send(Compare())
+        wait_for(lambda: loop.latest().same == "")
+        panel._input.value = INPUTS["path"]
+        wait_for(lambda: panel.followed[id(panel._input)] == INPUTS["path"])
+        loop.send(Compare(("none",), "force"))
+        wait_for(lambda: panel._input.value == INPUTS["force"])
 
 
 def test_view_of_the_door_is_refused_without_a_door(dashboard):

@@ -245,7 +245,7 @@ def test_sentence_calls_the_task_reduced_only_with_much_slack(blank, slack, dist
         ("base", "none", "avoidance is off: nothing gives way"),
         ("above", "dbb", "base's top (buffer 150 mm), where base motion cannot help"),
         ("high above", "dbb", "the arm itself comes no nearer than 31 mm"),
-        ("high above", "hqp", "the hierarchy as printed has no other constraint on the arm"),
+        ("high above", "hqp", "the paper's hierarchy has no other constraint on the arm"),
         ("last", "dbb", "and the arm itself limits the approach."),
         ("inside", "dbb", "The end-effector overlaps the base's front by 4 mm"),
         ("edge", "dbb", "The end-effector is 148 mm from the base's front (buffer 150 mm)"),

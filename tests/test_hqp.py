@@ -1,4 +1,4 @@
-"""The method `hqp`, with (26) to (29) as printed: its levels, transition, behaviour and jumps."""
+"""The method `hqp`, the paper's hierarchy: levels, transition, behaviour and jumps."""
 
 from typing import Any
 

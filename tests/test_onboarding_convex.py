@@ -24,6 +24,7 @@ from app.onboarding.fit.convex import (
     support,
     volume_of,
 )
+from app.onboarding.read.links import LinkShape
 from app.robot.model import RobotModel
 from app.robot.shapes import hull_mesh, shape_mesh
 from tests.robots import husky_panda
@@ -257,3 +258,6 @@ def test_hull_mesh_has_the_hulls_volume_and_supports_plates(
     np.testing.assert_allclose(plate.extents, (0.05, 0.05, 1e-4), atol=1e-9)
     turned = hull_mesh(corners @ pin.rpy.rpyToMatrix(0.3, 0.5, 0.7).T + 0.37)
     assert turned.volume == pytest.approx(plate.volume) == pytest.approx(2.5e-7)
+    assert LinkShape(turned, turned, "mesh", None).volume == 0.0
+    thicker = hull_mesh(np.concatenate([corners, corners + np.array([0.0, 0.0, 2e-4])]))
+    assert LinkShape(thicker, thicker, "mesh", None).volume == pytest.approx(5e-7)

@@ -218,8 +218,9 @@ class Controller:
         self._distances.update_from(data)
         if self._own_drive and base_source == algorithm.DRIVE_MODEL:
             state = drive if len(drive) else self._base.drive_at_rest()
-            a = self._base.drive_acceleration(w.base_velocity, state, w.v_cmd)
-            w.a_base_meas[:] = np.where(np.isfinite(a), a, 0.0)  # a lost reading of the drive
+            if np.isfinite(state).all():  # after a lost reading the acceleration stays the same
+                v = w.base_velocity.copy()
+                w.a_base_meas[:] = self._base.drive_acceleration(v, state, w.v_cmd)
             base_source = algorithm.BASE_MEASURED
         tracking, slow, border = reference is not None, self._slow, self._border
         while left_open := _law(robot, gains, slow, border, w.struct, base_source, tracking):

@@ -162,26 +162,25 @@ def hull_mesh(points: Array) -> trimesh.Trimesh:
     import trimesh  # see ConvexMesh.hull
 
     hull = trimesh.convex.convex_hull(_thick(points), repair=False)  # a repair would need networkx
-    out = hull.triangles_center - hull.vertices.mean(axis=0)
-    inwards = np.vecdot(hull.face_normals, out) < 0.0
+    inwards = np.vecdot(hull.face_normals, hull.triangles_center - hull.vertices.mean(axis=0)) < 0
     hull.faces = np.where(inwards[:, None], hull.faces[:, ::-1], hull.faces)
     return hull
 
 
-_THIN = 1e-4  # [m] smallest thickness of a hull
+THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def _thick(points: Array) -> Array:
     """Points (N, 3) [m], doubled along each principal axis thinner than 0.1 mm, to 0.1 mm."""
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
-        if (missing := _THIN - np.ptp(points @ axis)) > 0.0:
+        if (missing := THIN - np.ptp(points @ axis)) > 0.0:
             points = np.concatenate([points + s * missing / 2 * axis for s in (-1.0, 1.0)])
     return points
 
 
-def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
-    """The convex hull of points (N, 3) [m]; 0.1 mm thick if they are in a plane or on a line.
+def convex_hull(points: Array, grid: float = THIN) -> coal.CollisionGeometry:
+    """The convex hull of points (N, 3) [m], at least 0.1 mm thick.
 
     coal refuses corners with 255 or more neighbours, such as those of a finely drawn disc. Then
     the points are rounded to `grid` [m], which is doubled until coal accepts them.

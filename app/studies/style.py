@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 _METHODS = {
     "dbb": ("#0072B2", "proposed (DBB)"),
-    "hqp": ("#C9B400", "as printed (HQP)"),
+    "hqp": ("#C9B400", "hierarchy (HQP)"),
     "points": ("#56B4E9", "proposed, border of points"),
     "repulsive": ("#D55E00", "repulsive force"),
     "barrier": ("#CC79A7", "barrier rows"),

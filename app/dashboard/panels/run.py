@@ -55,9 +55,8 @@ class RunPanel(Panel):
             "Controller",
             METHOD_TITLES,
             lambda name: sink.send(Choose(name)),
-            hint="dbb: the base gives way, as in the paper. hqp: the same, with the hierarchy as "
-            "printed in the paper; slower. repulsive: a repulsive acceleration moves the arm only. "
-            "barrier: a constraint keeps a minimum distance. none: no avoidance.",
+            hint="dbb: the base gives way, as in the paper. hqp: the same, slower. repulsive: only "
+            "the arm gives way. barrier: a constraint on the distance. none: no avoidance.",
         )
         self._pause = self.button(PAUSE, lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)
         restart, icon = lambda _: sink.send(Restart()), viser.Icon.REFRESH
@@ -120,8 +119,7 @@ class ComparePanel(Panel):
 
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the scores from the shown one."""
-        if moment.newest.same:
-            self.follow(self._input, INPUTS[moment.newest.same])
+        self.follow(self._input, INPUTS.get(moment.newest.same, self._input.value))
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names

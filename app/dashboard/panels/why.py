@@ -171,7 +171,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair, cause: str)
         also = f" {b.capitalize()} and {a} are also pushed apart."
     if pair.above >= STEEP:  # base motion cannot help
         if why.controller == "hqp":
-            rest = ", and the hierarchy as printed has no other constraint on the arm"
+            rest = ", and the paper's hierarchy has no other constraint on the arm"
         elif pair.limited:
             rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
         else:

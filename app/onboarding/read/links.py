@@ -17,7 +17,7 @@ from app.onboarding.fit.convex import convex_pieces
 from app.onboarding.read.source import MESHES
 from app.onboarding.read.tree import Arm, Tree
 from app.robot.assets import floats, kind_of, refuse_placeholder, stated_stl
-from app.robot.shapes import hull_mesh
+from app.robot.shapes import THIN, hull_mesh
 from app.robot.urdf import numbers, origin, unit_of, urdf_mesh
 from app.strict import Array
 
@@ -39,7 +39,6 @@ _GYRATION = 5.0, 10.0  # [m], [-] largest radius of gyration; the second is rela
 _OUTSIDE = 0.5, 2.0  # [m], [-] largest distance of a centre of mass; second relative to shapes
 _ROUNDING = 1e-5  # [-] smallest excess of the sum of two moments over the third, relative to it
 _TINY = 1e-9  # [kg] or [kg m²] largest value that counts as zero
-_FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
 _BEGIN = 1 << 16  # [bytes] length of the beginning of a file that is searched for damage
 _MARK = codecs.BOM_UTF8  # which many readers take for a part of the first word
 _COMMA = re.compile(rb"^[^#\n]*\d,\d", re.MULTILINE)  # not in a comment
@@ -52,6 +51,11 @@ class LinkShape(NamedTuple):
     hull: trimesh.Trimesh  # convex hull of the shape, in the link's frame [m]
     kind: str  # tag of the geometry; "piece" for a mesh after `in_pieces`
     radius: float | None  # [m] radius of a cylinder, sphere or capsule; None for other shapes
+
+    @property
+    def volume(self) -> float:
+        """[m³] volume of the hull, or 0 if it is not thicker than `hull_mesh` makes flat hulls."""
+        return float(self.hull.volume) if self.hull.volume > 0.51 * THIN * self.hull.area else 0.0
 
 
 class LinkGeometry(NamedTuple):
@@ -78,8 +82,8 @@ class LinkGeometry(NamedTuple):
 
     @property
     def volume(self) -> float:
-        """[m³] sum of the hulls' volumes."""
-        return sum(float(s.hull.volume) for s in self.shapes)
+        """[m³] sum of the hulls' volumes; that of a flat hull counts as 0."""
+        return sum(s.volume for s in self.shapes)
 
 
 Geometry = Mapping[str, LinkGeometry]  # by the names of the links
@@ -108,7 +112,8 @@ def _shape(element: Element, where: str) -> LinkShape:
         raise RobotFileError(f"{why}; add a geometry, or remove the {element.tag}")
     mesh, radius = urdf_mesh(shape, where, load_mesh)
     hull = _hull(mesh).apply_transform(T)
-    if (size := float(hull.extents.max())) > _LARGEST:
+    size = float(np.ptp(trimesh.transform_points(mesh.vertices, T), axis=0).max())
+    if size > _LARGEST:
         scale = 0.001 if unit_of(size) == "millimetres" else 0.0254
         why = f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres"
         helps = f'set scale="{scale} {scale} {scale}" for a mesh, or write metres'
@@ -277,7 +282,7 @@ def read_inertias(
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     moving = [link for segment in arm.segments[1:] for link in segment]
     massive = {k: each for k, each in stated.items() if each and each.mass > _TINY}
-    solid = {link: each for link, each in massive.items() if geometry[link].volume > _FLAT}
+    solid = {link: each for link, each in massive.items() if geometry[link].volume > 0.0}
     for link, each in solid.items():
         _check_inertia(f"link {link!r}", each, geometry[link])
     for part in (arm.base_links, moving):
@@ -324,7 +329,7 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
     """The stated inertia, with moments of the hull if only a mass is stated; if none is stated, an
     inertia by volume. A link without volume has the stated inertia, or zero.
     """
-    if geometry.volume <= _FLAT:
+    if geometry.volume == 0.0:
         return LinkInertia(stated or pin.Inertia.Zero(), "")
     if stated is None:
         return LinkInertia(_of_volume(geometry, density), f"{density:g} kg/m³ in its hull")
@@ -337,7 +342,7 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
     """The inertia of solid hulls, or of one hull around all shapes if that has a smaller volume."""
-    hulls = [shape.hull for shape in geometry.shapes if shape.hull.volume > _FLAT]
+    hulls = [shape.hull for shape in geometry.shapes if shape.volume > 0.0]
     around = hull_mesh(geometry.corners)
     if around.volume < sum(hull.volume for hull in hulls):
         hulls = [around]

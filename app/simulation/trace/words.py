@@ -8,7 +8,7 @@ Outcome = Literal["contact", "overlap", "no contact"]
 
 METHOD_WORDS = {
     "dbb": "with avoidance",
-    "hqp": "hierarchy as printed",
+    "hqp": "paper's hierarchy",
     "repulsive": "arm repulsion only",
     "barrier": "minimum distance only",
     "none": "without avoidance",

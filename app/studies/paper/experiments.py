@@ -73,7 +73,7 @@ GUIDING = {
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
 """The runs of Figure 15."""
 AS_PRINTED = tuple(e._replace(controller="hqp") for e in (TRACKING, PAST_BASE, LATERAL, FRONT))
-"""Runs of the controller as printed in the paper."""
+"""Runs of the paper's hierarchy."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
 Runs = dict[Experiment, RunResult]
