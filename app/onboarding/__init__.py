@@ -8,7 +8,7 @@ from app.system import usable_cores
 
 ROOT = "floor_point"
 """Link of the base's frame: its origin is on the floor, below the middle between the driven wheels
-or, without them, below the origin of --base."""
+or, for a holonomic base or with --wheel-radius, below the origin of --base."""
 SIDES = ("guiding-lateral", "guiding-front")
 """Scenarios of guiding towards the side and towards the front of the base."""
 

@@ -64,13 +64,13 @@ def check_robot(
 ) -> Iterator[Row]:
     """All checks of a description; each row is yielded when its check ends.
 
-    A check that ends with an error fails, and its row has the message. If the model or the border
-    fails, the checks that need it are left out. With `runs` and pairs of arm and base, the last row
+    A check that ends with an error fails, and its row has the message. If model or border cannot be
+    made, the checks that need it are left out. With `runs` and pairs of arm and base, the last row
     is a failed row `guiding` if each run ends with an error, cannot start or has "nothing to show".
 
     `runs` selects whether the guiding runs, which take most of the time, are simulated. `tell` is
-    called with the name of each step before it begins. `processes` (default: one for each usable
-    core) sample the border, a complete one, or with the parameters `sampling` a coarser one.
+    called with the name of each step before it begins. `processes` is the number of processes for
+    the border (default: one for each usable core); `sampling` has parameters of a coarser border.
     """
     tell("loading the robot")
     try:
@@ -161,14 +161,14 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Check limits and moved inertias; warn if a torque limit is below gravity in some posture."""
+    """Check limits, and that each joint moves inertia; warn if a torque limit is below gravity."""
     names, efforts, data = model.description.arm.joints, model.tau_max, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_postures(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
     strongest = np.array([20_000.0 if unit == "m" else 2000.0 for unit in model.joint_units])
     wrong = [
-        f"{names[k]} has {model.qd_max[k]:g} rad/s (or m/s) and {efforts[k]:g} N m (or N), above "
-        f"the plausible {_FASTEST:g} and {strongest[k]:g}"
+        f"{names[k]} has {model.qd_max[k]:g} rad/s (or m/s) and {efforts[k]:g} N m (or N), but at "
+        f"most {_FASTEST:g} and {strongest[k]:g} are plausible"
         for k in np.flatnonzero((model.qd_max > _FASTEST) | (efforts > strongest))
     ]
     wrong += [f"{names[k]} moves no inertia" for k in np.flatnonzero(least <= 1e-9)]
@@ -188,7 +188,7 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Warn of nested links that never touch, or overlap by over 3 mm in under 25 % of postures."""
+    """Warn of nested links that touch in no posture, or in under 25 % and overlap by over 3 mm."""
     by_body = units_of_links(model, _geometry(model))
     shapes = link_shapes([unit for units in by_body.values() for unit in units])
     named = sorted((min(pair), max(pair)) for pair in model.description.nested)
@@ -196,7 +196,7 @@ def nested_row(model: RobotModel) -> Row:
     q_m = sample_joints(model, ENOUGH, np.random.default_rng(0))
     gaps = link_distances(model, shapes, shaped, q_m)
     shares, overlaps = (gaps <= 0.0).mean(axis=0).tolist(), (-gaps).max(axis=0).tolist()
-    touches = dict.fromkeys(named, (0.0, 0.0))  # also of a link without a shape
+    touches = dict.fromkeys(named, (0.0, 0.0))  # stays 0 for a link without a shape
     touches.update(zip(shaped, zip(shares, overlaps, strict=True), strict=True))
     least = min(share for share, _ in touches.values())
     text = f"each pair of nested links touches in at least {least:.0%} of random postures"
@@ -239,7 +239,7 @@ def arm_row(model: RobotModel) -> Row:
         "left_out_poses": float(found.left_out),
     }
     text = f"links collide in {found.postures} of {found.looked_at:,} random postures"
-    text += f"; in all but {found.undetected} of these, bodies of a pair meet"
+    text += f"; in {found.undetected} of these, the collision is undetected"
     if found.undetected:
         text += f"; most undetected collisions are of {found.worst}"
     if found.missed:
@@ -342,7 +342,7 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that each border has points at all heights, up to the top of l_m, that the arm reaches.
 
     The check fails if all borders are empty. It warns if no pair has l_m, or if a border has a gap
-    between its lowest and its highest point. Outside of these, the exact offset of l_m replaces it.
+    between its lowest and its highest point. Beyond these, the exact offset of l_m replaces it.
     """
     if not data.clouds:
         text = "no monitored part of the arm can meet the base, so there is no border"
@@ -400,7 +400,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         "base_displacement_m": moved,
     }
     where = f" ({', '.join(steps)})" if steps else ""
-    text = f"{touched} steps with contact{where}, {failures} steps without a solution of the QP"
+    text = f"{touched} steps with contact{where}, {failures} steps with the fallback command"
     if near is not None:
         numbers |= {"min_clearance_m": float(near), "min_clearance_without_m": float(without)}
         nearest = f"{near:.3f} m ({without:.3f} m without avoidance)"

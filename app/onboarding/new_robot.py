@@ -63,8 +63,8 @@ def finish(
     """Create a robot and its border, and write the complete folder or nothing.
 
     `helpers` starts the workers for all parallel work except the border; by default there are none.
-    `processes` other processes sample the border (default: one for each usable core). `sampling`
-    has the parameters of a coarser border, which the calling process samples alone. `whole` is the
+    `processes` is the number of processes that sample the border (default: one for each usable
+    core). `sampling` has parameters of a coarser border, which one process samples. `whole` is the
     result of `whole_robot`, if it is known. `tell` is called with the name of each step before it
     begins, `on_progress` with the finished share, 0 to 1, of a long step.
 
@@ -147,7 +147,7 @@ def _make_robot(
 
 
 def _written(robot: NewRobot, data: BorderData, folder: Path, work: _Work) -> NewRobot:
-    """Add lines for guiding and warnings to a robot; write all files except URDF and meshes."""
+    """Add warnings and guiding lines to a robot; write all files except URDF and meshes."""
     work.tell("searching lines for guiding")
     # An arm that cannot hold its end-effector avoids the base by itself: a fault is acceptable.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()

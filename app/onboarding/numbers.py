@@ -31,7 +31,7 @@ _LARGEST = 1000.0  # [rad] or [m] position limit from which a joint has no limit
 _TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)  # a bound also holds after rounding
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
-_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}  # [N m], [N] assumed
+_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}  # [N m], [N] smallest assumed
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 
 
@@ -71,8 +71,8 @@ def read_limits(tree: Tree, arm: Arm) -> Limits:
     """The arm's limits in the URDF, with assumed ones for missing limits of position and speed.
 
     A limit so large that it limits nothing counts as missing. A missing effort is 0 in the result.
-    A RobotFileError is raised if position limits of a prismatic joint are missing, or those of any
-    joint are an empty range or probably in another unit. A finger may have no or equal limits.
+    A RobotFileError is raised if position limits of a prismatic joint are missing, or if limits are
+    an empty range or probably in another unit. Beside the arm, they may be missing or equal.
     """
     _check_ranges(tree, arm)
     lower = {joint.name: _position(joint, "lower") for joint in arm.joints}

@@ -44,7 +44,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class NewRobot(Fitted):
-    """All data for the files of a new robot; lines for guiding and warnings are added last."""
+    """All data for the files of a new robot; warnings and guiding lines are added last."""
 
     urdf: str  # text of the new URDF
     content: dict[str, Any]  # description in the form of `RobotDescription`

@@ -26,7 +26,7 @@ from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
 Bare = Literal["design", "mistake"]
 """Why a link extends beyond its body: by design, because only links of neighbouring bodies can
-reach these parts; or by mistake, because a link of another body can reach them."""
+reach these parts; or by mistake, because a link of a more distant body can reach them."""
 
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
 """Colours of links: None for links inside of their bodies."""
@@ -78,7 +78,7 @@ VIEW = "bodies.html"  # name of the file that shows links and bodies in three di
 
 
 def _bare(bare: dict[str, Bare]) -> Iterator[str]:
-    whys = {"design": "only links of neighbouring bodies", "mistake": "links of other bodies"}
+    whys = {"design": "only links of neighbouring bodies", "mistake": "links of distant bodies"}
     for why, reaching in whys.items():
         if links := ", ".join(link for link, each in bare.items() if each == why):
             beyond = f"extending beyond their bodies by {why}"

@@ -119,7 +119,7 @@ class Bounds(NamedTuple):
     high: float
     unit: str = ""
     kind: str = ""
-    """The only kind of base that has the number; empty for all kinds."""
+    """The only kind of base with this option; empty for all kinds."""
 
 
 BOUNDS = {

@@ -27,7 +27,7 @@ from app.robot.shapes import shape_mesh
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-_POSTURES, _SAMPLES = 100, 2000  # [-] largest numbers of postures near the base, and of random ones
+_POSTURES, _SAMPLES = 100, 2000  # [-] postures near the base (upper bound), random postures
 _LIMIT = "limit the joints between them by position_lower and position_upper of robot.toml"
 OFTEN = 0.25  # [-] share of postures above which there is a warning
 
@@ -177,7 +177,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
         yield f"inertia assumed of {', '.join(links)}: {why}, {mass:.3g} kg in total"
     for joint, links in zip(arm.joints, arm.segments[1:], strict=True):
         if sum(inertias[link].inertia.mass for link in links) <= 0:
-            yield f"no link that {joint.name} alone moves has a mass: the inertia is zero"
+            yield f"the links directly on {joint.name} have no mass: their inertia is zero"
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
@@ -229,7 +229,7 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bounds of signed distances of points (N, 3) in a body's joint frame to it."""
+    """(N,) [m] lower bounds of signed distances from a body to points (N, 3) in its joint frame."""
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
         own = moved(points, model.geometry.geometryObjects[k].placement.inverse())

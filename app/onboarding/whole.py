@@ -57,9 +57,9 @@ class Whole(NamedTuple):
 def whole_robot(request: Request) -> Whole:
     """Read the robot from one or two files, with distinct names and one joint per telescope.
 
-    A RobotFileError is raised if a file is not a URDF, --base or --tip is no link, or no arm is
-    between them; an UnknownNameError if no xacro declares or uses an argument of --xacro; and an
-    AssetError if a package is not installed.
+    A RobotFileError is raised if a file is no valid robot, an option names no link, or no arm is
+    between --base and --tip; an UnknownNameError if no xacro declares or uses an argument of
+    --xacro; and an AssetError if a `package://` file of the request does not exist.
     """
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")

@@ -184,9 +184,9 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     """The text of the new URDF.
 
     The root is a frame on the floor with x forward; below it are the base and all its descendants.
-    A link without collision shapes gets its visual shapes as collision shapes. For all libraries to
-    read the same robot, a continuous joint becomes revolute with wide limits, a planar or floating
-    one fixed. `header` becomes a comment; `home` is the new URDF's folder (`mesh_name`).
+    A link without collision shapes gets its visual shapes as collision shapes. So that all
+    libraries read the same robot, a continuous joint becomes revolute with wide limits, a planar or
+    floating one fixed. `header` becomes a comment; `home` is the new URDF's folder (`mesh_name`).
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -212,8 +212,8 @@ def mesh_name(address: str, home: Path | None) -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
     `home` is the folder of the new URDF; without it, the address does not change. A mesh in this
-    folder gets a relative path, so that the folder can be moved. An `is_foreign` mesh is converted
-    to an STL file in metres in `home`, with the errors of `load_mesh`. Others keep their address.
+    folder gets a relative path, so that the folder can be moved. A mesh that `is_foreign` becomes
+    an STL file in metres in `home`, with the errors of `load_mesh`. Others keep their address.
     """
     path = followed(mesh_path(address))
     if home is None:

@@ -20,7 +20,7 @@ from app.strict import Array
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 """[-] weights of volumes for the arm; the closest points on a capsule do not jump."""
-_SAVES = 0.03  # [-] contacts per free posture that one more shape of l_m has to save
+_SAVES = 0.03  # [-] contacts per free posture that one more box of l_m has to save
 _LEFT = 0.85  # [-] largest share of the volume of an arm's body that one more shape leaves
 _APART = 0.1  # [m] smallest distance between the parts of a link that can have separate shapes
 _SPOT = 1e-6  # [m³] smallest swept volume of points around which a body is fitted
@@ -43,7 +43,7 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
     It has one to four boxes, or one to four polytopes, with the smallest cost: 0.03 for each box,
     0.06 for each polytope, and the mean number of the arm's units that touch l_m. Units close to it
-    by design do not count. The mean is over random postures without contact, or else over all.
+    by design do not count. The mean is over up to 600 free random postures or, without any, others.
     """
     units = meetings.units
     corners = [part.corners for k in mobile for part in units[k].parts]
@@ -69,8 +69,8 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
 
 def _divided(model: RobotModel, corners: Sequence[Array]) -> list[list[PointHull]]:
-    """Divisions of parts into one to four groups, as lists of the groups' hulls. The merger of the
-    two groups whose common hull adds the least volume makes a division with one group less.
+    """Divisions of parts into one to four groups, as lists of the groups' hulls. Each merges the
+    two groups of the next finer division whose common hull adds the least volume.
     """
     groups = {k: _hull(model, points) for k, points in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, PointHull]] = {}  # growth and merged hull
@@ -92,7 +92,7 @@ def _divided(model: RobotModel, corners: Sequence[Array]) -> list[list[PointHull
 
 
 def _hull(model: RobotModel, *points: Array) -> PointHull:
-    """The convex hull of points (N, 3) [m]; many groupings of a robot's links need the same one."""
+    """The convex hull of points (N, 3) [m], cached: many groupings of links need the same one."""
     return _hull_of(model, np.vstack(points).tobytes())
 
 
@@ -175,7 +175,7 @@ class ArmFitter:
 
 
 def _distant_parts(unit: Unit, mask: Array, owner: int) -> list[Array]:
-    """The points of the link `owner` in `mask`, in groups (N, 3) [m]. The distance of two groups
+    """The points of link number `owner` in `mask`, in groups (N, 3) [m]. The distance of two groups
     exceeds `_APART`, and twice the largest distance of a surface point from its nearest neighbour.
     """
     surface, points = (unit.surface[chosen & (unit.owners == owner)] for chosen in (True, mask))
@@ -195,8 +195,8 @@ def swept(
 ) -> dict[int, PointHull]:
     """For each joint: a hull, in the joint's frame, around all points at all joint positions.
 
-    `points` has, by joint, points (N, 3) [m] in the joint's frame; the numbers are consecutive.
-    `frames` has some of these joints, not none; only these get a hull (default: all).
+    `points` has points (N, 3) [m] in the joint's frame by the joints' numbers, which are
+    consecutive. `frames` has the numbers of the joints that get a hull (default: all).
     """
     first, last, frames = min(points), max(points), frames or points.keys()
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}

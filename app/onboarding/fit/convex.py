@@ -21,8 +21,8 @@ class PointHull(NamedTuple):
     """The convex hull of points."""
 
     corners: Array
-    """(M, 3) [m] corners; for flat points, the points, rounded to 1 µm and without duplicates, or
-    unchanged if there are fewer than five."""
+    """(M, 3) [m] corners; of flat points all, rounded to 1 µm, without duplicates; of fewer
+    than five points all, unchanged."""
     volume: float  # [m³], 0 for flat points and for fewer than five points
 
 
@@ -62,8 +62,8 @@ def fit_best(around: PointHull, weights: dict[str, float]) -> Fit:
 def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
-    The polytope has a face for each of 642 directions, evenly spread after scaling the points to
-    equal widths along principal axes. It exceeds a round hull by 0.2 % of its size, edges by more.
+    The polytope has faces in 642 directions, evenly spread after scaling the points to equal widths
+    along principal axes. It exceeds a round hull by about 0.2 % of its size, and edges by more.
     """
     corners, D = hull(points).corners, directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many

@@ -92,8 +92,8 @@ def find_grouping(
 
     `count` is the number of bodies of the arm. None means four, as in the paper, if sufficient, and
     otherwise the best number from two to six. Four are not sufficient if `Verdict.always` or
-    `Verdict.spurious` has a pair, or if `Verdict.missed` is over 0.1 %. If possible, the bodies of
-    both links of each entry in `separate` are a pair. `on_progress` gets the share of each search.
+    `Verdict.spurious` has a pair, or `Verdict.missed` is over 0.1 %. If possible for all links in
+    `separate`, each entry's bodies are a pair. `on_progress` gets each search's finished share.
 
     Raises:
         RobotFileError: No grouping has `count` bodies; or as for `ArmFitter.bodies`.
@@ -116,7 +116,7 @@ def find_grouping(
 
 
 def _detects(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether monitored pairs overlap in 99.9 % of the postures in which a unit meets another."""
+    """Whether monitored pairs overlap in ≥ 99.9 % of the postures in which a unit meets another."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
     q_m = [
         postures.q_m[np.any(postures.distances[:, own] <= 0.0, axis=1) & postures.possible]
@@ -371,8 +371,8 @@ def _held(tree: Tree, link: str, arm: Sequence[str]) -> str:
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
-    """Interval without a posture of q_m (N, n_m) that is the largest share of the range (or of a
-    turn) of one of the `joints`, as text; empty below `LEAST`, or if N < `_FEWEST_CONTACTS`.
+    """Text on the interval of one of the `joints` without a posture of q_m (N, n_m) that is widest
+    relative to the joint's range (or a turn); empty below `LEAST`, or if N < `_FEWEST_CONTACTS`.
     """
     found = [(LEAST, "")]
     for joint in joints if len(q_m) >= _FEWEST_CONTACTS else ():
@@ -412,7 +412,7 @@ def _ranked(
 
     The sort key is this cost plus that of the collisions missed by bodies that overlap exactly if
     their links do. Each group has a shape. If unit 1 has shapes, its group has none of `slides`,
-    units on prismatic joints. If some divisions make all of `apart` pairs, the others are invalid.
+    units on prismatic joints. If possible for all of `apart`, the groups of each entry are a pair.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]

@@ -50,7 +50,7 @@ class Postures(NamedTuple):
     """Postures of the arm, with the distances of pairs of units."""
 
     q_m: Array  # (N, n_m) [rad or m]
-    distances: Array  # (N, pairs) [m] signed, of hulls; in `rare`, exact only below `MARGIN`
+    distances: Array  # (N, pairs) [m] signed, of hulls; exact below 0.5 m, in `rare` below `MARGIN`
     possible: Array
     """(N,) whether no close pair touches; contacts of nested pairs do not count. The real robot's
     joint limits have to prevent the other postures."""
@@ -315,15 +315,15 @@ def with_stops(
 
 
 def contact_margin(distances: Array) -> float:
-    """[m] distance up to which two links count as in contact: `MARGIN`, or half of the largest of
-    their `distances` (N,) [m] in N postures. The smaller value counts; for adjacent links: half.
+    """[m] distance up to which two links count as in contact: `MARGIN` or, if less, as for adjacent
+    links, half of the largest of their `distances` (N,) [m] in N postures.
     """
     return float(np.clip(distances.max() / 2, 0.0, MARGIN))
 
 
 def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
-    """`d_b` [m] and an empty text, or a smaller multiple of 0.01 m and its reason. It lets pairs of
-    bodies detect collisions that no limit prevents, unless these need an invalid `border.d_b`.
+    """`d_b` [m] and an empty text, or a smaller multiple of 0.01 m and its reason. With this, pairs
+    of bodies detect collisions that no limit prevents, unless these need an invalid `border.d_b`.
     """
     least, why = d_b, ""
     lower, upper = np.array(limits.lower), np.array(limits.upper)

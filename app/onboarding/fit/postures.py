@@ -89,7 +89,7 @@ def _ready(search: PostureSearch, q_m: Array) -> Ready:
 
 
 def _placed(search: PostureSearch, mount: Array) -> float:
-    """[-] quality of the end-effector pose, up to 1.2; -10 near the floor or the mount's axis."""
+    """[-] quality of a posture by its end-effector, ≤ 1.2; -10 near the floor or mount's axis."""
     at = search.state.T_world_ee
     out = at.translation - mount
     away = float(np.hypot(*out[:2]))
@@ -110,7 +110,7 @@ GIVES_WAY = 1 / 3  # [-] required displacement of the base in a run on a line, r
 CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
-_MAX_STARTS = 40  # [-] largest number of quick searches of a start; a failure takes 0.1 to 0.2 s
+_MAX_STARTS = 40  # [-] limit of quick searches on near and on other lines; a failure takes ≤ 0.2 s
 _MAX_COMPLETE = 8  # [-] largest number of complete searches of a start; a failure takes 0.3 to 2 s
 _FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start from the base, and its step
 _OUTSIDE = 0.05  # [m] smallest distance of a start from the buffer
@@ -205,9 +205,9 @@ def fault_of_run(
 ) -> str:
     """The fault of a run of the scenario `name` on the line `place`, or an empty string.
 
-    At the end, the base has to be `GIVES_WAY` times d_b from its start. Always, the arm has to be
-    `CLEARANCE` from the base and 0.01 m from the floor. No bodies of the arm may overlap, and in
-    the default plant nothing may touch the arm. `on_progress` gets the finished share.
+    At the end, the base has to be at least `GIVES_WAY` times d_b from its start. Always, the arm
+    has to be at least `CLEARANCE` from the base and 0.01 m from the floor. No bodies of the arm may
+    overlap, and the default plant must report no contact. `on_progress` gets the finished share.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config)
