@@ -257,7 +257,8 @@ class DashboardTab:
         return np.array(self.page.evaluate("n => dbbTest.position(n)", node))
 
     def pixel(self, node: str, point: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
-        """(2,) [px] position on the page of a point in a node's frame."""
+        """Wait for `rest`; (2,) [px] position on the page of a point in a node's frame."""
+        self.rest()
         return np.array(self.page.evaluate("([n, p]) => dbbTest.pixel(n, p)", [node, list(point)]))
 
     def plot(self, title: str) -> np.ndarray:
@@ -267,7 +268,8 @@ class DashboardTab:
         return np.array(found, dtype=float)
 
     def pixels(self, node: str, points: np.ndarray) -> np.ndarray:
-        """(K, 2) [px] positions on the page of points (K, 3) in a node's frame."""
+        """Wait for `rest`; (K, 2) [px] positions on the page of points (K, 3) in a node's frame."""
+        self.rest()
         found = self.page.evaluate("([n, p]) => dbbTest.pixels(n, p)", [node, points.tolist()])
         return np.array(found)
 

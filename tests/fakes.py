@@ -86,9 +86,9 @@ class ScriptedLoop:
         if isinstance(command, Watch):  # the fake also runs while no client watches
             return
         with self._lock:
-            self.commands.append(command)
             self._obey(command)
             self._publish()
+            self.commands.append(command)  # last: a test that sees the command sees its effect
 
     def latest(self) -> Snapshot:
         return self._history.latest

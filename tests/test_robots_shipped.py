@@ -84,8 +84,8 @@ def test_missing_package_is_reported_with_its_installation(monkeypatch: pytest.M
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(assets, "share_folders", list)
     for name, how in (
-        ("husky_ur5", r"pip install '\.\[robots\]'|pybullet_data"),
-        ("stretch_se3", r"pip install '\.\[robots\]'"),
+        ("husky_ur5", r"pip install 'dbb-mobile-manipulator\[robots\]'|pybullet_data"),
+        ("stretch_se3", r"pip install 'dbb-mobile-manipulator\[robots\]'"),
     ):
         with pytest.raises(AssetError, match=how):
             resolved_urdf(load_robot(name))
