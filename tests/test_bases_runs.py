@@ -67,6 +67,25 @@ def test_the_contact_plant_refuses_other_bases_and_names_alternatives(kind: str)
         make_physics("mujoco-contact", robot_on(kind))
 
 
+def test_drive_model_of_a_kind_continues_from_the_velocity_in_use() -> None:
+    """The odometry is 50 ms late while the base accelerates."""
+    robot = robot_on("car-like")
+    loop, drive = ControlLoop(robot, border("car-like")), np.array([0.1])
+    ready = at_rest(robot, np.array(robot.description.arm.ready_position))
+    command = np.zeros(2)
+    for k in range(300):
+        t = 0.001 * k
+        moved, v = 0.25 * max(t - 0.05, 0.0) ** 2, 0.5 * max(t - 0.05, 0.0)
+        turn = v * np.tan(0.1) / robot.description.base.wheelbase_m
+        odometry = {"base_pose": np.array([moved, 0.0, 0.0]), "base_velocity": np.array([v, turn])}
+        measured = ready._replace(**odometry, drive=drive, now=t, time=t, base_time=t - 0.05)
+        step = loop.step(measured).step
+        expected = robot.description.base.drive_acceleration(step.base_velocity, drive, command)
+        np.testing.assert_allclose(step.a_base_meas, expected, rtol=0.0, atol=1e-12)
+        command = step.v_cmd.copy()
+    assert abs(step.base_velocity[0] - v) > 0.005, "the reading itself was in use"
+
+
 @pytest.mark.parametrize("angle", [np.nan, np.inf, -np.inf])
 def test_an_unread_steering_angle_is_a_fault_with_finite_commands(angle: float) -> None:
     robot = robot_on("car-like")
