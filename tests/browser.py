@@ -112,7 +112,8 @@ class DashboardTab:
         if not first_visit:
             context.add_init_script(_NO_TOUR)
         self.page = context.new_page()
-        self._rests, self._draws = False, draws
+        self._rested: Any = None  # boxes of the panels and position of the camera
+        self._draws = draws
         self._fingers: Any = None
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -123,7 +124,7 @@ class DashboardTab:
 
     def wait_for_scene(self) -> None:
         """Wait until the robot and all other scene nodes are drawn."""
-        self._rests = False
+        self._rested = None
         self.wait("() => dbbPage.ready()")
         self.wait("() => dbbPage.has('/robot') && dbbPage.has('/gizmo')")
         self.page.evaluate("on => dbbTest.draw(on)", self._draws)
@@ -138,20 +139,25 @@ class DashboardTab:
             self.page.evaluate("() => dbbTest.draw(false)")
 
     def rest(self) -> None:
-        """Wait, once for each scene, until panels and camera stop moving.
+        """Wait until panels and camera are where they last rested, or stop moving.
 
-        Both settle after the first picture, so an earlier click would miss its target.
+        Both move after the first picture, as soon as the server knows the size of the scene. A
+        click during this motion would miss its target.
         """
         deadline, since = time.monotonic() + 60.0, time.monotonic()
-        before, frames = None, 0
-        while not self._rests:
+        before, frames = self._rested, 0
+        while True:
             assert time.monotonic() < deadline, "the camera does not stop moving"
             self.render(2)
             now = (self.canvas_box(), self.camera().round(3).tolist())
             frames += 2
+            if now == self._rested:
+                return
             if now != before:
                 before, since, frames = now, time.monotonic(), 0
-            self._rests = frames >= _FRAMES and time.monotonic() - since > _AT_REST
+            elif frames >= _FRAMES and time.monotonic() - since > _AT_REST:
+                self._rested = now
+                return
 
     def _listen(self, message: Any) -> None:
         if message.type == "error" and message.text != HARMLESS:

@@ -162,9 +162,8 @@ def test_a_drag_that_the_browser_cancels_ends(tab, served, cause):
     tab.page.mouse.move(
         *(np.add(tab.canvas_box()[:2], 20.0)).tolist()
     )  # a stuck gizmo would follow
-    wait_for(
-        lambda: loop.pulls()[-1:] == [None] and not page.grip.holds_anything, what="the release"
-    )
+    wait_for(loop.pulls, what="a pull")
+    wait_for(lambda: loop.pulls()[-1] is None and not page.grip.holds_anything, what="the release")
     wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
     tab.page.evaluate("() => getSelection().removeAllRanges()")
 
