@@ -53,7 +53,7 @@ from app.onboarding.fit.meetings import (
     with_stops,
 )
 from app.onboarding.fit.postures import Place, Point
-from app.onboarding.fit.travel import filled
+from app.onboarding.fit.travel import filled, held_by
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.source import mesh_address
@@ -362,6 +362,9 @@ def test_meshes_overlap_only_where_hulls_do_and_not_inside_a_hollow_one(made: Ne
     hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
     links, touching = meshes_meet(model, base, hand, geometry, posture)
     assert ("base", "hand") in links
+    bare = {**geometry, "left_wheel": geometry["left_wheel"]._replace(shapes=())}
+    shaped, _ = meshes_meet(model, base, hand, bare, posture[:1])
+    assert shaped == [pair for pair in links if pair[0] != "left_wheel"]
     assert not touching[:, [pair != ("base", "hand") for pair in links]].all(axis=0).any()
     meshes = touching.any(axis=1)
     assert hulls.sum() > 10
@@ -835,8 +838,8 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         compiled(description(request, each, bodies), path)
         for each in (parsed, replace(parsed, limits=limits))
     )
-    assert detection_of(free, parsed.geometry, 0.15).share > 0.1
-    assert detection_of(stopped, parsed.geometry, 0.15).share < 0.01
+    assert detection_of(free, parsed.tree, parsed.geometry, 0.15).share > 0.1
+    assert detection_of(stopped, parsed.tree, parsed.geometry, 0.15).share < 0.01
     ready = [0.0] * 6
     ready[k] = 2.4
     with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
@@ -853,15 +856,21 @@ def test_joint_stop_keeps_the_upper_arm_off_the_base_without_a_buffer(
         assert (pair in _close_pairs(meetings.random.distances, meetings.pairs, d_b)) == close
 
 
-def test_a_contact_with_a_held_head_names_the_head_and_its_joint(tmp_path: Path) -> None:
-    """A HSR's head, which follows the lift of its arm, was called `base_link`."""
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_contact_with_a_head_names_the_head_and_its_joint_if_it_is_held(
+    tmp_path: Path, follows: bool
+) -> None:
+    """The shapes of a head that follows the lift, as a HSR's, cover its travel: it is not held."""
     box = solid('<box size="0.1 0.1 0.1"/>')
-    rail, mimic = 'lower="0" upper="0.4" effort="60" velocity="1"', '<mimic joint="rail"/>'
+    rail = 'lower="0" upper="0.4" effort="60" velocity="1"'
+    mimic = '<mimic joint="rail"/>' if follows else ""
     neck = joint("neck", "prismatic", "base", "head", xyz="0.15 0 0.65", limit=rail)
     turn = joint("swing", "revolute", "carriage", "upper_arm", xyz="0.2 0 0", axis="0 1 0")
     parts = [
         *cart(),
         link("carriage", box),
+        link("edge", solid('<box size="0.05 0.05 0.05"/>', xyz="0 0 0.02")),
+        joint("weld", "fixed", "carriage", "edge"),
         joint("rail", "prismatic", "base", "carriage", xyz="0.15 0 0.2", limit=rail),
         link("head", box),
         neck.replace("</joint>", f"{mimic}</joint>"),
@@ -869,6 +878,8 @@ def test_a_contact_with_a_held_head_names_the_head_and_its_joint(tmp_path: Path)
         joint("nod", "revolute", "head", "eye", xyz="0 0 0.3", axis="0 1 0"),
         link("upper_arm", solid('<box size="0.1 0.1 0.1"/>', xyz="0.3 0 0")),
         turn,
+        link("finger", box),
+        joint("grip", "prismatic", "upper_arm", "finger", xyz="0.4 0 0", limit=rail),
     ]
     path = write(tmp_path, robot(parts))
     request = Request(urdf=str(path), base="base", tip="upper_arm", out=tmp_path / "toy")
@@ -878,18 +889,15 @@ def test_a_contact_with_a_held_head_names_the_head_and_its_joint(tmp_path: Path)
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     met = sample_meetings(bare, units, samples=400, seed=1, d_b=0.15, counted=())
-    count, rule = grouping._left_out(bare, met, (), geometry)
+    count, rule = grouping._left_out(bare, met, (), parsed.tree, geometry)
     assert count > 20
-    assert rule.startswith("head and carriage (")
-    assert ", with neck held; none with rail from 0" in rule
-    for name in ("base", "eye", "wheel", "nod", "axle"):
+    where = "" if follows else " with neck held"
+    assert rule.startswith(f"head and carriage{where} (")
+    assert "%; none with rail from 0" in rule
+    for name in ("base", "eye", "wheel", "nod", "axle", "edge"):  # the edge is on the carriage
         assert name not in rule
-    held = grouping._held(parsed.tree, "eye", ("rail", "swing"))
-    assert held == "neck"
-    assert [grouping._held(parsed.tree, k, ("rail",)) for k in ("left_wheel", "carriage")] == [
-        "",
-        "",
-    ]
+    held = held_by(parsed.tree, parsed.arm.joints)
+    assert held == ({"eye": "nod"} if follows else {"head": "neck", "eye": "neck"})
 
 
 def test_collision_of_a_fixed_part_counts_where_its_watched_pair_overlaps() -> None:

@@ -253,7 +253,9 @@ def test_hull_of_a_part_is_built_once() -> None:
     """The search for rare contacts needs the hulls of two units hundreds of times."""
     corners = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
     part = Part("link", corners, np.zeros(0))
-    (one,), (two,) = (hulls(unit(2)._replace(parts=(each,))) for each in (part, part._replace()))
+    model = husky_panda()
+    equal = (part, part._replace(corners=corners.copy()))
+    (one,), (two,) = (hulls(model, unit(2)._replace(parts=(each,))) for each in equal)
     assert one[2] is two[2]
     assert one[2].computeVolume() == pytest.approx(hull(corners).volume)
 

@@ -143,6 +143,18 @@ def test_values_stored_per_model_are_bounded_and_freed_with_the_model() -> None:
     for scale in (3.0, 4.0, 3.0, 2.0):  # 4.0 evicts 2.0
         bodies(model, scale=scale)
     assert made == [2.0, 2.0, 3.0, 4.0, 2.0]
+
+    @kept_per_model(2)
+    def doubled(_: RobotModel, points: np.ndarray) -> np.ndarray:
+        return 2.0 * points
+
+    points = np.ones((2, 3))
+    there, stored = doubled(model, points), weakref.ref(points)
+    assert doubled(model, points.copy()) is there
+    assert doubled(model, points.reshape(3, 2)).shape == (3, 2)
+    assert doubled(model, 0.0 * points).sum() == 0.0
+    del points
+    assert stored() is None, "the cache keeps only a digest"
     collision_shapes(model)
     offset_contours(model, 0.1)
     ref = weakref.ref(model)

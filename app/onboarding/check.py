@@ -25,7 +25,7 @@ from app.onboarding.fit.units import link_distances, link_shapes, units_of_links
 from app.onboarding.numbers import gravity_load, largest_of_postures
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
-from app.onboarding.read.tree import make_tree
+from app.onboarding.read.tree import Tree, make_tree
 from app.robot.assets import resolved_urdf, urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -189,8 +189,8 @@ def limits_row(model: RobotModel) -> Row:
 
 def nested_row(model: RobotModel) -> Row:
     """Warn of nested links that touch in no posture, or in under 25 % and overlap by over 3 mm."""
-    by_body = units_of_links(model, _geometry(model))
-    shapes = link_shapes([unit for units in by_body.values() for unit in units])
+    by_body = units_of_links(model, _geometry(model)[1])
+    shapes = link_shapes(model, [unit for units in by_body.values() for unit in units])
     named = sorted((min(pair), max(pair)) for pair in model.description.nested)
     shaped = [pair for pair in named if shapes.keys() >= {*pair}]
     q_m = sample_joints(model, ENOUGH, np.random.default_rng(0))
@@ -213,22 +213,21 @@ def nested_row(model: RobotModel) -> Row:
 
 def base_row(model: RobotModel) -> Row:
     """Check that, above the floor, hulls of the base's links extend beyond l_m by at most 1 cm."""
-    unit = units_of_links(model, _geometry(model))[model.body_names[0]]
+    unit = units_of_links(model, _geometry(model)[1])[model.body_names[0]]
     points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
     points = points[points[:, 2] > 0.0]
     if not len(points):
         return Row("base's body", "failed", "the base's links have no shapes", {})
     out = float(MobileBody(model).distance(points).max())
     text = f"the base's meshes extend beyond its body by at most {max(out, 0.0):.4f} m"
-    outcome: Outcome = "passed" if out <= 0.01 else "failed"
-    return Row("base's body", outcome, text, {"sticks_out_m": out})
+    return Row("base's body", "passed" if out <= 0.01 else "failed", text, {"sticks_out_m": out})
 
 
 def arm_row(model: RobotModel) -> Row:
     """Check that pairs of bodies detect the collisions of links in random postures. The section
     *Undetected collisions* of docs/other_robots.md has the condition of each outcome.
     """
-    found = detection_of(model, _geometry(model), model.description.config.border.d_b)
+    found = detection_of(model, *_geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.postures),
         "unseen_poses": float(found.undetected),
@@ -258,12 +257,12 @@ def arm_row(model: RobotModel) -> Row:
     return Row("arm's bodies", outcome, text, numbers)
 
 
-def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
-    """The geometry of the robot's links; that of some links covers their motions: see `filled`."""
+def _geometry(model: RobotModel) -> tuple[Tree, dict[str, LinkGeometry]]:
+    """The robot's tree; the geometry of its links, with the motions of some: see `filled`."""
     resolved_urdf(model.description)  # refuses damaged meshes
     tree = make_tree(read_robot(urdf_path(model.description))[0])
     chain = [tree.joints[name] for name in model.description.arm.joints]
-    return filled(tree, read_geometry(tree), chain)
+    return tree, filled(tree, read_geometry(tree), chain)
 
 
 def holding_row(model: RobotModel) -> Row:

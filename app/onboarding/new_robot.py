@@ -193,31 +193,26 @@ def _embodied(
     while not found or (found[-1].detection.fails and len(found) < _MAX_FITS):
         if found:
             work.tell("sampling other random postures")
+        seed, d_b, workers = request.seed + len(found), request.buffer, work.workers
         meetings = sample_meetings(
-            bare,
-            units,
-            samples=MEETING_SAMPLES,
-            seed=request.seed + len(found),
-            d_b=request.buffer,
-            enough=ENOUGH,
-            workers=work.workers,
+            bare, units, samples=MEETING_SAMPLES, seed=seed, d_b=d_b, enough=ENOUGH, workers=workers
         )
         limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
-        d_b, why = watching_buffer(limits, meetings, request.buffer)
+        smaller, why = watching_buffer(limits, meetings, d_b)
         if why and request.d_b is None:
-            request = replace(request, d_b=d_b)
+            request = replace(request, d_b=smaller)
             said = f"the buffer distance is {request.d_b:g} m, because {why} (--buffer-distance)"
             parsed = replace(parsed, changes=(*parsed.changes, said))
             continue
         work.tell("fitting bodies")
         count = _count(request, units, [len(each.bodies) for each in found])
         separate = [links for each in found for links in each.detection.unseen]
-        grouping = find_grouping(bare, meetings, request.buffer, count, work.on_progress, separate)
+        grouping = find_grouping(bare, meetings, d_b, count, work.on_progress, separate)
         limited = replace(parsed, limits=limits)
         unwatched = grouping.verdict.unwatched
         content = write.description(request, limited, grouping.bodies, unwatched=unwatched)
         model = write.compiled(content, path)
-        detection = detection_of(model, geometry, request.buffer, work.workers)
+        detection = detection_of(model, parsed.tree, geometry, d_b, workers)
         found.append(Fitted(request, limited, model, meetings, *grouping, detection))
     best = min(found, key=lambda each: (len(each.detection.blind), each.detection.undetected))
     if best.detection.blind:
@@ -250,12 +245,10 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
     tree, arm, changes = whole or whole_robot(request)
     limits = numbers.read_limits(tree, arm)
     if request.ready is not None:
-        count, joints = len(request.ready), len(arm.joints)
-        if count != joints:
-            why = f"it has {count} numbers, but the arm has {joints} joints"
+        if (count := len(request.ready)) != len(arm.joints):
+            why = f"it has {count} numbers, but the arm has {len(arm.joints)} joints"
             raise RobotFileError(f"--ready: {why}: {', '.join(arm.names)}")
-        ranges = zip(arm.names, request.ready, limits.lower, limits.upper, strict=True)
-        for name, q, low, high in ranges:
+        for name, q, low, high in zip(arm.names, request.ready, *limits[:2], strict=True):
             if not low <= q <= high:
                 why = f"{name} at {q:g} is outside of its limits, {low:g} to {high:g}"
                 raise RobotFileError(f"--ready: {why}")

@@ -75,19 +75,15 @@ def read_limits(tree: Tree, arm: Arm) -> Limits:
     an empty range or probably in another unit. Beside the arm, they may be missing or equal.
     """
     _check_ranges(tree, arm)
-    lower = {joint.name: _position(joint, "lower") for joint in arm.joints}
-    upper = {joint.name: _position(joint, "upper") for joint in arm.joints}
+    sides = [{j.name: _position(j, side) for j in arm.joints} for side in ("lower", "upper")]
+    lower, upper = (grouped({k: why for k, (_, why) in side.items()}) for side in sides)
     speeds = {joint.name: _within(joint.velocity, _FASTEST) for joint in arm.joints}
-    assumed = {
-        "position_lower": grouped({name: why for name, (_, why) in lower.items()}),
-        "position_upper": grouped({name: why for name, (_, why) in upper.items()}),
-        "max_velocity": grouped({name: "" if v else _SPEEDS for name, v in speeds.items()}),
-        "max_effort": {},
-    }
-    low, high = (tuple(limit for limit, _ in side.values()) for side in (lower, upper))
+    slow = grouped({name: "" if v else _SPEEDS for name, v in speeds.items()})
+    assumed = {"position_lower": lower, "position_upper": upper, "max_velocity": slow}
+    low, high = (tuple(limit for limit, _ in side.values()) for side in sides)
     velocity = tuple(speeds[joint.name] or _SPEED[joint.kind] for joint in arm.joints)
     effort = tuple(_within(joint.effort, 1e5) for joint in arm.joints)
-    return Limits(low, high, velocity, effort, assumed, stops={})
+    return Limits(low, high, velocity, effort, {**assumed, "max_effort": {}}, stops={})
 
 
 def grouped(whys: Mapping[str, str]) -> dict[str, list[str]]:

@@ -298,13 +298,6 @@ class Carried(NamedTuple):
     place: float  # [-] share of the postures in which the arm cannot hold the position
     pose: float  # [-] share in which the arm cannot hold position and orientation at the same time
 
-    @property
-    def text(self) -> str:
-        """The base's motion in words, such as "turns at 0.5 rad/s"."""
-        if self.axis.angular:
-            return f"turns at {self.speed:g} rad/s"
-        return f"moves {self.axis.way} at {self.speed:g} m/s"
-
 
 def carried_ee(model: RobotModel) -> tuple[Carried, ...]:
     """For each axis of the base, shares of random postures near the base in which the arm cannot
@@ -359,9 +352,10 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
     if not (often := [each for each in carried if each.place > OFTEN]):
         return ""
     motions = ", or while it ".join(
-        f"{each.text} (in {each.place:.0%} of the postures near the base; in {each.pose:.0%} if "
-        "the orientation counts too)"
-        for each in often
+        (f"turns at {speed:g} rad/s" if axis.angular else f"moves {axis.way} at {speed:g} m/s")
+        + f" (in {place:.0%} of the postures near the base; in {pose:.0%} if the orientation "
+        "counts too)"
+        for axis, speed, place, pose in often
     )
     why = f"the arm cannot hold its end-effector in place while the base {motions}"
     return f"{why}; during avoidance the base moves less in these directions"

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, lru_cache, wraps
-from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar, cast
-from weakref import WeakKeyDictionary, ref
+from functools import cached_property, lru_cache, partial, wraps
+from hashlib import blake2b
+from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
@@ -219,23 +220,38 @@ def _error(description: RobotDescription, message: str) -> DescriptionError:
 def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Options, Result]]:
     """A decorator for functions of a model; it caches the `most` last used results of each model.
 
-    Callers share a result and must not change it. The other arguments must be hashable. A result
-    must not refer to the model: otherwise neither of the two would ever be freed.
+    Callers share a result and must not change it. The other arguments are hashable values or
+    arrays; the cache keeps only a digest of each array. A result must not refer to the model:
+    otherwise neither of the two would ever be freed.
     """
 
     def keep(function: OfModel[Options, Result]) -> OfModel[Options, Result]:
-        kept: WeakKeyDictionary[RobotModel, Callable[..., Result]] = WeakKeyDictionary()
+        kept: WeakKeyDictionary[RobotModel, Callable[[_Call], Any]] = WeakKeyDictionary()
 
         @wraps(function)
         def asked(model: RobotModel, *args: Options.args, **kwargs: Options.kwargs) -> Result:
             if model not in kept:
-                of = ref(model)  # not the model: its cache must not keep it alive
-                kept[model] = lru_cache(most)(lambda *a, **k: function(cast("Any", of()), *a, **k))
-            return kept[model](*args, **kwargs)
+                kept[model] = lru_cache(most)(_Call.made)
+            call = _Call(
+                (x.shape, blake2b(x.tobytes()).digest()) if isinstance(x, np.ndarray) else x
+                for x in (*args, *kwargs.items())
+            )
+            call.make = partial(function, model, *args, **kwargs)
+            return kept[model](call)
 
         return asked
 
     return keep
+
+
+class _Call(tuple[object, ...]):
+    """The arguments of a cached function, with a digest in the place of each array."""
+
+    make: Callable[[], Any]
+
+    def made(self) -> Any:
+        """The result; without `make`, the key in the cache refers to no array and no model."""
+        return self.__dict__.pop("make")()
 
 
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:

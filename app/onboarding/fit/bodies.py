@@ -55,10 +55,8 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     free = (meetings.random.distances > 0.0).all(axis=1)
     q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
     ends = {v for u, v in meetings.pairs if u in mobile and (u, v) not in meetings.close}
-    arm = [hulls(unit) for unit in units if unit.index in ends]
-    bases = [
-        [(1, fit.shape.placement(), fit.shape.coal_geometry()) for fit in fits] for fits in tried
-    ]
+    arm = [hulls(model, unit) for unit in units if unit.index in ends]
+    bases = [[(1, k.shape.placement(), k.shape.coal_geometry()) for k in fits] for fits in tried]
     pairs = [*product(range(len(bases)), range(len(bases), len(bases) + len(arm)))]
     touch = shape_distances(model, [*bases, *arm], pairs, q_m) <= 0.0
     touched = touch.reshape(len(q_m), len(bases), len(arm)).sum(axis=2).mean(axis=0)
@@ -91,14 +89,10 @@ def _divided(model: RobotModel, corners: Sequence[Array]) -> list[list[PointHull
     return divisions
 
 
-def _hull(model: RobotModel, *points: Array) -> PointHull:
+@kept_per_model(4096)  # the 13 joints of an RBY1 need 2,449 hulls
+def _hull(_: RobotModel, *points: Array) -> PointHull:
     """The convex hull of points (N, 3) [m], cached: many groupings of links need the same one."""
-    return _hull_of(model, np.vstack(points).tobytes())
-
-
-@kept_per_model(2048)
-def _hull_of(_: RobotModel, data: bytes) -> PointHull:
-    return hull(np.frombuffer(data).reshape(-1, 3))
+    return hull(np.vstack(points))
 
 
 class ArmFitter:
@@ -201,22 +195,21 @@ def swept(
     first, last, frames = min(points), max(points), frames or points.keys()
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
     for joint in range(last, min(frames), -1):
-        beyond = np.vstack([points[joint], outer[joint]])
-        outer[joint - 1] = _through(model, beyond.tobytes(), joint, True)
+        outer[joint - 1] = _through(model, np.vstack([points[joint], outer[joint]]), joint, True)
     for joint in range(first, max(frames)):
         before = np.vstack([points[joint], inner[joint]])
-        inner[joint + 1] = _through(model, before.tobytes(), joint + 1, False)
+        inner[joint + 1] = _through(model, before, joint + 1, False)
     return {k: _hull(model, points[k], outer[k], inner[k]) for k in frames}
 
 
 @kept_per_model(256)
-def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
+def _through(model: RobotModel, points: Array, joint: int, outwards: bool) -> Array:
     """Corners (M, 3) [m] around the volume that points sweep while a joint moves through its range.
 
     With `outwards`, the points are in the frame of the joint, and the result is in the frame of the
-    joint before it; otherwise the reverse. `data` has the bytes of the points, as a key of a cache.
+    joint before it; otherwise the reverse.
     """
-    points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
+    placement = model.pin.jointPlacements[joint]
     corners = hull(points if outwards else moved(points, placement.inverse())).corners
     kind = model.pin.joints[joint]
     of_joint = kind.createData()

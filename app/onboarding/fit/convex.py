@@ -1,5 +1,6 @@
 """Convex shapes that enclose points: capsule, box or polytope."""
 
+from collections.abc import Iterable
 from functools import cache
 from typing import NamedTuple
 
@@ -141,8 +142,8 @@ def fit_hull(points: Array) -> Hull | Box:
     except QhullError:
         return fit_box(points)
     corners = np.unique(np.round(corners, 4), axis=0)  # of equal corners only one remains
-    vertices = tuple(map(_three, corners[ConvexHull(corners).vertices]))
-    return Hull(type="hull", vertices_m=vertices, xyz_m=_three(middle), rpy_rad=_three(rpy))
+    vertices = tuple(map(three, corners[ConvexHull(corners).vertices]))
+    return Hull(type="hull", vertices_m=vertices, xyz_m=three(middle), rpy_rad=three(rpy))
 
 
 def support(shape: Shape, D: Array) -> Array:
@@ -218,7 +219,7 @@ def _tight_frame(points: Array, axis: Array) -> Array:
 def _capsule(points: Array, ends: Array) -> Capsule:
     """The smallest capsule with the ends (2, 3) that encloses the points."""
     radius = round(float(np.ceil(_radius(points, *ends) / _UNIT + 1e-6) * _UNIT), 4)
-    return Capsule(type="capsule", start_m=_three(ends[0]), end_m=_three(ends[1]), radius_m=radius)
+    return Capsule(type="capsule", start_m=three(ends[0]), end_m=three(ends[1]), radius_m=radius)
 
 
 def _radius(points: Array, a: Array, b: Array) -> float:
@@ -234,12 +235,12 @@ def _box(points: Array, rpy: Array) -> Box:
     inside = points @ R
     low = np.floor(inside.min(axis=0) / _UNIT) * _UNIT
     high = np.ceil(inside.max(axis=0) / _UNIT) * _UNIT
-    size = np.maximum(high - low, _THINNEST) + 2 * _UNIT  # the centre is rounded too
-    centre = np.round(R @ ((low + high) / 2), 5)
-    size_m = _three(np.round(size, 4))
-    return Box(type="box", size_m=size_m, xyz_m=_three(centre), rpy_rad=_three(rpy))
+    centre = np.round(R @ ((low + high) / 2), 5)  # for this, the size has a margin
+    size = np.round(np.maximum(high - low, _THINNEST) + 2 * _UNIT, 4)
+    return Box(type="box", size_m=three(size), xyz_m=three(centre), rpy_rad=three(rpy))
 
 
-def _three(v: Array) -> tuple[float, float, float]:
+def three(v: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers, rounded to 1e-5; no zero is negative."""
     x, y, z = (float(round(value, 5)) + 0.0 for value in v)
     return x, y, z

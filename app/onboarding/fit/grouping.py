@@ -26,6 +26,7 @@ from app.onboarding.fit.meetings import (
     nested_links,
     sample_meetings,
 )
+from app.onboarding.fit.travel import held_by
 from app.onboarding.fit.units import (
     Unit,
     hull_distances,
@@ -35,11 +36,8 @@ from app.onboarding.fit.units import (
     units_of_links,
 )
 from app.onboarding.read.links import Geometry
-from app.onboarding.read.source import read_source
-from app.onboarding.read.tree import MOVING, Tree, make_tree
-from app.onboarding.read.wheels import turns_round
+from app.onboarding.read.tree import Tree
 from app.onboarding.request import BOUNDS
-from app.robot.assets import urdf_path
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.strict import Array
@@ -235,8 +233,9 @@ class Detection(NamedTuple):
     close by design. It is extrapolated if more than 300 postures qualify."""
     rule: str
     """Up to four pairs of links that meet in the `left_out` postures, the most frequent first, with
-    their share of all random postures and the held joints that carry them. If possible, each has a
-    d_b with which a pair of bodies detects the contacts, and a joint range without contacts."""
+    their share of all random postures and the held joints that carry them; one pair of links for
+    two units. If possible, each has a d_b with which a pair of bodies detects the contacts, and a
+    joint range without contacts."""
 
     @property
     def share(self) -> float:
@@ -256,7 +255,7 @@ class Detection(NamedTuple):
 
 
 def detection_of(
-    model: RobotModel, geometry: Geometry, d_b: float, workers: Workers = ALONE
+    model: RobotModel, tree: Tree, geometry: Geometry, d_b: float, workers: Workers = ALONE
 ) -> Detection:
     """The collisions of links in random postures, and those that the bodies of a description miss.
 
@@ -277,7 +276,7 @@ def detection_of(
     )
     owner = {unit.index: name for name, each in by_body.items() for unit in each}
     pairs = candidate_pairs(model)
-    left_out, rule = _left_out(model, met, pairs, geometry)
+    left_out, rule = _left_out(model, met, pairs, tree, geometry)
     random = met.random.possible & met.collides.any(axis=1)
     hits, count = met.collides[random], int(random.sum())
     rare = np.logical_and(met.rare.distances <= 0.0, met.rare.possible[:, None])
@@ -325,7 +324,7 @@ def _counted(model: RobotModel, by_body: Mapping[str, Sequence[Unit]]) -> list[t
 
 
 def _left_out(
-    model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Geometry
+    model: RobotModel, met: Meetings, pairs: Sequence[Pair], tree: Tree, geometry: Geometry
 ) -> tuple[int, str]:
     """`left_out` and `rule` of `Detection`, without units that touch in most postures."""
     units, q_m = met.units, met.random.q_m
@@ -342,32 +341,23 @@ def _left_out(
     real, both = touch[looked], [(units[u], units[v]) for u, v in (*near, *beside)]
     scale, found = len(rows) / max(1, len(looked)), []
     for k, (a, b) in enumerate(both):  # hulls of adjacent links often overlap
-        own = touch[looked, k]
+        if not (own := touch[looked, k]).any():
+            continue
         links, meet = meshes_meet(model, a, b, geometry, q_m[looked[own]])
         real[own, k] = meet.any(axis=1)
-        shares = meet.sum(axis=0) * scale / len(q_m)
-        found += [(-share, k, pair) for pair, share in zip(links, shares, strict=True) if share > 0]
-    said, tree = [], make_tree(read_source(urdf_path(model.description))[0])
-    arm = model.description.arm.joints
-    for share, k, pair in sorted(found, key=itemgetter(0))[:4]:
+        count, pair = max(zip(meet.sum(axis=0), links, strict=True), key=itemgetter(0))
+        if count:
+            found.append((count * scale / len(q_m), k, pair))
+    said, held = [], held_by(tree, [tree.joints[name] for name in model.description.arm.joints])
+    for share, k, pair in sorted(found, key=itemgetter(0), reverse=True)[:4]:
         (a, b), touching = both[k], gaps[:, k] <= contact_margin(gaps[:, k])
         free = _free_range(model, range(a.joint - 1, b.joint - 1), q_m[touching])
         if k < len(near) and near[k] not in met.grazing:
             free = met.detectable(near[k]) + free
-        if held := " and ".join(filter(None, (_held(tree, link, arm) for link in pair))):
-            free = f", with {held} held{free}"
-        said.append(f"{pair[0]} and {pair[1]} ({-share:.1%}{free})")
+        joints = " and ".join(held[link] for link in pair if link in held)
+        where = f" with {joints} held" if joints else ""
+        said.append(f"{pair[0]} and {pair[1]}{where} ({share:.1%}{free})")
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
-
-
-def _held(tree: Tree, link: str, arm: Sequence[str]) -> str:
-    """The innermost held joint that moves a link, or empty; not a joint that `turns_round`."""
-    name = ""
-    while (joint := tree.joint_of.get(link)) and joint.name not in arm:
-        if joint.kind in MOVING and not turns_round(joint):
-            name = joint.name
-        link = joint.parent
-    return name
 
 
 def _free_range(model: RobotModel, joints: Sequence[int], q_m: Array) -> str:
@@ -421,9 +411,8 @@ def _ranked(
     for count in counts:
         for cuts in combinations(range(1, len(units)), count - 1):
             groups = [list(units[a:b]) for a, b in pairwise([0, *cuts, len(units)])]
-            if any(shaped.isdisjoint(group) for group in groups):
-                continue
-            if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
+            fixed = next((group for group in groups if 1 in group), []) if 1 in shaped else []
+            if any(map(shaped.isdisjoint, groups)) or not slides.isdisjoint(fixed):
                 continue
             owner = {unit: k for k, group in enumerate([mobile, *groups]) for unit in group}
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]

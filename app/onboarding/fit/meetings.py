@@ -153,13 +153,11 @@ def sample_meetings(
         if hits >= enough or len(q_m) >= 40_000:
             break
     rare_q = _rare_postures(model, found, seed)
-    gaps = shape_distances(model, [hulls(unit) for unit in units], pairs, rare_q, MARGIN)
+    gaps = shape_distances(model, [hulls(model, unit) for unit in units], pairs, rare_q, MARGIN)
     graze = _grazing(units, pairs, distances, gaps).difference(counted or ())
     barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
-    random, rare = (
-        Postures(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
-        for q_m, each in ((q_m, distances), (rare_q, gaps))
-    )
+    both = (q_m, distances), (rare_q, gaps)
+    random, rare = (Postures(q, d, np.all(d[:, barred] > 0.0, axis=1)) for q, d in both)
     found = replace(found, close=close | graze, random=random, rare=rare)
     jobs = [] if counted is not None else [(found, model, k) for k in range(len(pairs))]
     return replace(found, met=dict(chain.from_iterable(workers.map(_met, jobs))))

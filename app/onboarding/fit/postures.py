@@ -16,6 +16,7 @@ from app.config import parameter
 from app.control.tasks import uncompensated_base_jacobian
 from app.errors import UnreachableError
 from app.jobs.progress import OnProgress, part_of
+from app.onboarding.fit.convex import three
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
 from app.simulation.case import RunSpec
@@ -274,7 +275,7 @@ class _Candidate(NamedTuple):
     @property
     def move(self) -> Point:
         """[m] vector from its start to its end."""
-        return _point(np.round((self.out - self.left) * self.inwards, 3))
+        return three(np.round((self.out - self.left) * self.inwards, 3))
 
     @property
     def end(self) -> Array:
@@ -376,7 +377,7 @@ class _Guide:
         """The line by `_led` from a start at height z [m]; None also if the arm cannot start."""
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
-        p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
+        p = three([*np.round(at[:2] + gap * inwards[:2], 3), z])
         if (q_m := self._free_at(np.array(p))) is None:
             return None
         return self._led(q_m, p, inwards, at[2], [left for left in _LEFT_OVER if left < at[2]])
@@ -476,8 +477,3 @@ def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_S
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y, out in product((min(beside, high), low + 0.05, high - 0.05, float(mount[1])), outs):
         yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
-
-
-def _point(values: Iterable[float]) -> Point:
-    x, y, z = (float(v) + 0.0 for v in values)
-    return x, y, z

@@ -7,6 +7,7 @@ import pinocchio as pin
 
 from app.onboarding.read.links import Geometry, LinkGeometry, in_pieces, swept_shape
 from app.onboarding.read.tree import MOVING, Joint, Tree, extends
+from app.onboarding.read.wheels import turns_round
 
 Positions = Mapping[str, float]  # [rad or m] by the names of the joints
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles in a range of up to 25 rad
@@ -18,20 +19,43 @@ def filled(tree: Tree, geometry: Geometry, chain: Sequence[Joint]) -> dict[str, 
     These links are those beyond the arm's last link (fingers), the other parts of telescopes, and
     those on joints that mimic a joint of the arm. `chain` has the joints of the arm.
     """
-    pieces = {
+    found = {
         name: each._replace(shapes=tuple(p for shape in each.shapes for p in in_pieces(shape)))
         for name, each in geometry.items()
     }
-    found = with_travel(tree, pieces, chain[-1].child)
+    for sweep in _sweeps(tree, chain):
+        found = with_travel(tree, found, *sweep)
+    return found
+
+
+def held_by(tree: Tree, chain: Sequence[Joint]) -> dict[str, str]:
+    """By link: the first joint from the base or the arm to the link that has only one position in
+    the model and in the shapes of `filled`. A joint that `turns_round`, as of a wheel, is left out.
+    """
+    moving, found = {joint.name for joint in chain}, dict[str, str]()
+    for carrier, without, leaders in _sweeps(tree, chain):
+        joints = [tree.joint_of[link] for link in tree.below(carrier, without=without)[1:]]
+        led = [each.name for each in leaders or joints if each.moves and len({*_range(each)}) > 1]
+        moving.update(joint.name for joint in joints if _leader(tree, joint)[0].name in led)
+    for link in tree.below(tree.root)[1:]:
+        joint = tree.joint_of[link]
+        held = joint.kind in MOVING and joint.name not in moving and not turns_round(joint)
+        if name := found.get(joint.parent, joint.name if held else ""):
+            found[link] = name
+    return found
+
+
+def _sweeps(tree: Tree, chain: Sequence[Joint]) -> Iterator[tuple[str, list[str], list[Joint]]]:
+    """The arguments `carrier`, `without` and `leaders` of the calls of `with_travel`."""
     own = [joint.name for joint in chain]
+    yield chain[-1].child, [], []
     for joint in followers(tree, own):
         beside = [each.name for each in tree.children[joint.parent] if each is not joint]
-        found = with_travel(tree, found, joint.parent, [*own, *beside], [_leader(tree, joint)[0]])
+        yield joint.parent, [*own, *beside], [_leader(tree, joint)[0]]
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
         below = tree.children[slide.child]
         other = [joint.name for joint in below if not (joint.moves and extends(tree, slide, joint))]
-        found = with_travel(tree, found, slide.child, [*own, *other])
-    return found
+        yield slide.child, [*own, *other], []
 
 
 def followers(tree: Tree, chain: Sequence[str]) -> list[Joint]:
@@ -56,18 +80,18 @@ def with_travel(
     geometry: Geometry,
     carrier: str,
     without: Sequence[str] = (),
-    leaders: Sequence[Joint] | None = None,
+    leaders: Sequence[Joint] = (),
 ) -> dict[str, LinkGeometry]:
     """Geometry in which each link below `carrier` has shapes that cover its sampled positions.
 
-    `leaders` (default: all moving joints below `carrier`) move through their ranges: first one at a
-    time with the others at rest (`held_at`), then all at the same share. Mimic joints follow. The
+    `leaders` (if empty: all moving joints below `carrier`) move through their ranges: first one at
+    a time with the others at rest (`held_at`), then all at the same share. Mimic joints follow. The
     shapes are in the frames of the links at rest. Links beyond the joints `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
     held = _placed(tree, links, carrier, {joint.name: held_at(joint) for joint in joints})
-    leaders = [joint for joint in joints if joint.moves] if leaders is None else leaders
+    leaders = leaders or [joint for joint in joints if joint.moves]
     tried = [_placed(tree, links, carrier, each) for each in _positions(joints, leaders)]
     found = dict(geometry)
     for link in links:
@@ -87,9 +111,7 @@ def held_at(joint: Joint) -> float:
 def _positions(joints: Sequence[Joint], leaders: Sequence[Joint]) -> Iterator[Positions]:
     ranges = {joint.name: _range(joint) for joint in leaders}
     rest = {joint.name: held_at(joint) for joint in [*joints, *leaders] if joint.moves}
-    for name, values in ranges.items():
-        for value in values:
-            yield {**rest, name: value}
+    yield from ({**rest, name: q} for name, values in ranges.items() for q in values)
     most = max(map(len, ranges.values()), default=0)
     for share in np.linspace(0.0, 1.0, most):
         at = {name: each[0] + share * (each[-1] - each[0]) for name, each in ranges.items()}

@@ -1,7 +1,6 @@
 """Units: groups of links that move as one rigid body, and distances between their hulls."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import product, starmap
 from typing import NamedTuple
 
@@ -14,12 +13,12 @@ from app.onboarding import ROOT
 from app.onboarding.fit.convex import directions, hull
 from app.onboarding.read.links import Geometry
 from app.onboarding.read.tree import PARALLEL, Arm
-from app.robot.model import RobotModel
+from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import convex_hull
 from app.strict import Array
 
 Pairs = Sequence[tuple[int, int]]
-_Of = tuple[str, tuple[str, ...], int, bool]  # `frame`, `links`, `joint` and `beside` of a unit
+OfLinks = tuple[list[tuple[str, str]], Array]  # pairs of links; a column (N, pairs) for each
 
 _THIN_OUT = 500  # [-] largest number of points on a unit's surface, without the outermost points
 _MANY = 150  # [-] number of pairs of shapes from which bounding spheres save time
@@ -64,7 +63,7 @@ def make_units(model: RobotModel, arm: Arm, geometry: Geometry) -> tuple[Unit, .
             wanted.append((joint.child, beside, k, True))
             links = tuple(link for link in links if link not in beside)
         wanted.append((joint.child, links, k, False))
-    return tuple(_unit(model, geometry, k, each) for k, each in enumerate(wanted))
+    return tuple(_unit(model, geometry, k, *each) for k, each in enumerate(wanted))
 
 
 def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit]]:
@@ -79,12 +78,19 @@ def units_of_links(model: RobotModel, geometry: Geometry) -> dict[str, list[Unit
     for index, (name, frame, k) in enumerate(groups):
         links = tuple(link for body, link in covered if body.name == name and joint[link] == k)
         beside = k > 1 and last[k] != name
-        found[name].append(_unit(model, geometry, index, (frame, links, k, beside)))
+        found[name].append(_unit(model, geometry, index, frame, links, k, beside))
     return found
 
 
-def _unit(model: RobotModel, geometry: Geometry, index: int, of: _Of) -> Unit:
-    frame, links, joint, beside = of
+def _unit(
+    model: RobotModel,
+    geometry: Geometry,
+    index: int,
+    frame: str,
+    links: tuple[str, ...],
+    joint: int,
+    beside: bool,
+) -> Unit:
     parts, surface, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     D = directions(2)
     for k, link in enumerate(links):
@@ -185,14 +191,12 @@ def shape_distances(
     return found
 
 
-def meshes_meet(
-    model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array
-) -> tuple[list[tuple[str, str]], Array]:
-    """Pairs (link of a, link of b); (N, pairs) whether their meshes touch at q_m (N, n_m)."""
+def meshes_meet(model: RobotModel, a: Unit, b: Unit, geometry: Geometry, q_m: Array) -> OfLinks:
+    """Pairs (link of a, link of b) with shapes; (N, pairs) whether these touch at q_m (N, n_m)."""
     data, request, here = model.pin.createData(), coal.CollisionRequest(), coal.Transform3s()
-    pairs, links = [*product(a.links, b.links)], (*a.links, *b.links)
-    meshes = {link: [_triangles(shape.mesh) for shape in geometry[link].shapes] for link in links}
-    frames = {link: model.pin.getFrameId(link) for link in links}
+    first, second = ([k for k in unit.links if geometry[k].shapes] for unit in (a, b))
+    meshes = {k: [_triangles(s.mesh) for s in geometry[k].shapes] for k in (*first, *second)}
+    frames, pairs = {k: model.pin.getFrameId(k) for k in meshes}, [*product(first, second)]
 
     def touch(one: str, two: str) -> bool:
         T = data.oMf[frames[one]].actInv(data.oMf[frames[two]])
@@ -216,37 +220,35 @@ def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
     return made
 
 
-def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
+def link_shapes(model: RobotModel, units: Sequence[Unit]) -> dict[str, list[Placed]]:
     """The hulls of each link that has a shape, by the name of the link."""
     shapes: dict[str, list[Placed]] = {}
     for unit in units:
-        for part, placed in zip(unit.parts, hulls(unit), strict=True):
+        for part, placed in zip(unit.parts, hulls(model, unit), strict=True):
             shapes.setdefault(part.link, []).append(placed)
     return shapes
 
 
-def hulls(unit: Unit) -> list[Placed]:
+def hulls(model: RobotModel, unit: Unit) -> list[Placed]:
     """The hulls of a unit's parts."""
-    shapes = (_hull_of(part.corners.tobytes()) for part in unit.parts)
+    shapes = (_coal_hull(model, part.corners) for part in unit.parts)
     return [(unit.joint, pin.SE3.Identity(), shape) for shape in shapes]
 
 
-@lru_cache(512)
-def _hull_of(data: bytes) -> coal.CollisionGeometry:
-    return convex_hull(np.frombuffer(data).reshape(-1, 3))
+@kept_per_model(512)  # an RBY1 has 48 parts; a hull of 2,000 corners takes 1.5 MB
+def _coal_hull(_: RobotModel, points: Array) -> coal.CollisionGeometry:
+    return convex_hull(points)
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
     """(N, pairs) [m] signed distances between the hulls of units in the postures q_m (N, n_m)."""
-    return shape_distances(model, [hulls(unit) for unit in units], pairs, q_m)
+    return shape_distances(model, [hulls(model, unit) for unit in units], pairs, q_m)
 
 
-def link_gaps(
-    model: RobotModel, u: Unit, v: Unit, q_m: Array
-) -> tuple[list[tuple[str, str]], Array]:
+def link_gaps(model: RobotModel, u: Unit, v: Unit, q_m: Array) -> OfLinks:
     """Pairs (link of u, link of v), and their distances (N, pairs) [m] in postures q_m (N, n_m)."""
-    pairs = [*product(link_shapes([u]), link_shapes([v]))]
-    return pairs, link_distances(model, link_shapes([u, v]), pairs, q_m)
+    pairs = [*product(link_shapes(model, [u]), link_shapes(model, [v]))]
+    return pairs, link_distances(model, link_shapes(model, [u, v]), pairs, q_m)
 
 
 def link_distances(
