@@ -141,6 +141,17 @@ def test_time_advances_by_the_control_period(make):
     np.testing.assert_allclose([step.t for step in steps], np.arange(50) * DT, atol=1e-12)
 
 
+def test_the_state_of_a_step_is_true_while_the_controller_refuses_the_readings(make) -> None:
+    """The controller's own state stays at the last valid reading."""
+    session = make()
+    for _ in range(200):
+        session.controller.last.contradiction[...] = 1e9
+        step = session.step(pull=PULL)
+    assert not step.control.valid
+    np.testing.assert_array_equal(step.state.q_m, step.measurement.q_m)
+    assert np.abs(step.state.q_m - session.controller.state.q_m).max() > 1e-3
+
+
 @pytest.mark.slow
 def test_the_controllers_output_depends_on_its_sensors_alone(
     run: list[Step], robot: RobotModel, border_data: BorderData

@@ -234,7 +234,7 @@ class Session:
         self, truth: Measurement, measurement: Measurement, control: ControlStep
     ) -> tuple[RobotState, Array]:
         """Update `state` to the true kinematics; return it and the pairs' distances (n_p,) [m]."""
-        if measurement is truth:  # so the controller has computed both
+        if measurement is truth and control.valid:  # so the controller has computed both
             self.state = self.controller.state
             return self.state, control.d[: len(control.pairs)].copy()
         self.state = self._own_state
