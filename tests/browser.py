@@ -142,7 +142,7 @@ class DashboardTab:
         """Wait until panels and camera are where they last rested, or stop moving.
 
         Both move after the first picture, as soon as the server knows the size of the scene. A
-        click during this motion would miss its target.
+        click during this motion would miss its target. A motion that has not begun is not seen.
         """
         deadline, since = time.monotonic() + 60.0, time.monotonic()
         before, frames = self._rested, 0

@@ -84,7 +84,6 @@ def test_visitor_explores_postures_and_probes_the_border(browser):
         tab.set_slider("panda_joint4 [°]", -150.0)
         wait_for(lambda: page.explorer_panel.posture.q_m[3] == pytest.approx(np.radians(-150.0)))
         np.testing.assert_array_equal(served.loop.latest().q_m, before)
-        tab.rest()
         before_drag = page.explorer_panel.posture
         tab.drag_gizmo(GIZMO, 0, -0.1, SCALE)  # the arm covers the upright arrow
         wait_for(lambda: not np.array_equal(page.explorer_panel.posture.q_m, before_drag.q_m))

@@ -880,6 +880,8 @@ def test_a_contact_with_a_head_names_the_head_and_its_joint_if_it_is_held(
         turn,
         link("finger", box),
         joint("grip", "prismatic", "upper_arm", "finger", xyz="0.4 0 0", limit=rail),
+        link("world"),
+        joint("odometry", "prismatic", "world", "base", limit=rail),
     ]
     path = write(tmp_path, robot(parts))
     request = Request(urdf=str(path), base="base", tip="upper_arm", out=tmp_path / "toy")

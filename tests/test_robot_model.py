@@ -152,7 +152,9 @@ def test_values_stored_per_model_are_bounded_and_freed_with_the_model() -> None:
     there, stored = doubled(model, points), weakref.ref(points)
     assert doubled(model, points.copy()) is there
     assert doubled(model, points.reshape(3, 2)).shape == (3, 2)
+    assert doubled(model, points=points).shape == (2, 3)
     assert doubled(model, 0.0 * points).sum() == 0.0
+    assert doubled(model, points.view(np.int64)).max() > 1.0, "the same bytes of another type"
     del points
     assert stored() is None, "the cache keeps only a digest"
     collision_shapes(model)

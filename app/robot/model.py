@@ -233,8 +233,8 @@ def kept_per_model(most: int) -> Callable[[OfModel[Options, Result]], OfModel[Op
             if model not in kept:
                 kept[model] = lru_cache(most)(_Call.made)
             call = _Call(
-                (x.shape, blake2b(x.tobytes()).digest()) if isinstance(x, np.ndarray) else x
-                for x in (*args, *kwargs.items())
+                (x.dtype, x.shape, blake2b(x.tobytes()).digest()) if isinstance(x, Array) else x
+                for x in (*args, *kwargs, *kwargs.values())
             )
             call.make = partial(function, model, *args, **kwargs)
             return kept[model](call)

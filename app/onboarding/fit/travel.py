@@ -32,7 +32,7 @@ def held_by(tree: Tree, chain: Sequence[Joint]) -> dict[str, str]:
     """By link: the first joint from the base or the arm to the link that has only one position in
     the model and in the shapes of `filled`. A joint that `turns_round`, as of a wheel, is left out.
     """
-    moving, found = {joint.name for joint in chain}, dict[str, str]()
+    moving, found = {k.name for k in tree.chain(tree.root, chain[-1].child)}, dict[str, str]()
     for carrier, without, leaders in _sweeps(tree, chain):
         joints = [tree.joint_of[link] for link in tree.below(carrier, without=without)[1:]]
         led = [each.name for each in leaders or joints if each.moves and len({*_range(each)}) > 1]
