@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -378,11 +378,8 @@ class DashboardTab:
         for _ in range(3):
             box.click()
             self.page.get_by_role("option", name=option, exact=True).click()
-            deadline = time.monotonic() + 5.0
-            while time.monotonic() < deadline:
-                if box.input_value() == option:
-                    return
-                self.page.wait_for_timeout(50)
+            with suppress(AssertionError):
+                return wait_for(lambda: box.input_value() == option, 5.0)
         raise AssertionError(f"the list {label!r} does not show {option!r}")
 
     def check(self, label: str, *, on: bool = True) -> None:

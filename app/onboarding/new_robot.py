@@ -248,7 +248,8 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
         if (count := len(request.ready)) != len(arm.joints):
             why = f"it has {count} numbers, but the arm has {len(arm.joints)} joints"
             raise RobotFileError(f"--ready: {why}: {', '.join(arm.names)}")
-        for name, q, low, high in zip(arm.names, request.ready, *limits[:2], strict=True):
+        ranges = zip(arm.names, request.ready, limits.lower, limits.upper, strict=True)
+        for name, q, low, high in ranges:
             if not low <= q <= high:
                 why = f"{name} at {q:g} is outside of its limits, {low:g} to {high:g}"
                 raise RobotFileError(f"--ready: {why}")

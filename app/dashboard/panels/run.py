@@ -136,8 +136,8 @@ class ComparePanel(Panel):
     def _choose(self) -> None:
         names = {title: name for name, title in METHOD_TITLES.items()}
         others = tuple(names[title] for title in self._chosen())
-        same = next(each for each, title in INPUTS.items() if title == self._input.value)
-        self._shared.loop.send(Compare(others, same))
+        inputs = {title: same for same, title in INPUTS.items()}
+        self._shared.loop.send(Compare(others, inputs[self._input.value]))
         if others:
             self._notifier.tell(self._viewer.client, "New run", "The timeline starts again.")
 

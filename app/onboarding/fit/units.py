@@ -231,8 +231,7 @@ def link_shapes(model: RobotModel, units: Sequence[Unit]) -> dict[str, list[Plac
 
 def hulls(model: RobotModel, unit: Unit) -> list[Placed]:
     """The hulls of a unit's parts."""
-    shapes = (_coal_hull(model, part.corners) for part in unit.parts)
-    return [(unit.joint, pin.SE3.Identity(), shape) for shape in shapes]
+    return [(unit.joint, pin.SE3.Identity(), _coal_hull(model, k.corners)) for k in unit.parts]
 
 
 @kept_per_model(512)  # an RBY1 has 48 parts; a hull of 2,000 corners takes 1.5 MB
